@@ -1,0 +1,1 @@
+"""Measured numbers: the same inputs for every method."""

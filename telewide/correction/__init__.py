@@ -1,0 +1,1 @@
+"""What makes the two views comparable: rows, colour, and a verdict on the pair."""

@@ -1,0 +1,1 @@
+"""Cameras, disparity and depth: pure functions on arrays."""

@@ -1,0 +1,87 @@
+"""What resizing and cropping do to pixels and to the camera matrix.
+
+Pixel (0, 0) is the centre of the top-left pixel, so resizing by s maps ``x' = (x + 0.5) s - 0.5``: the principal point
+moves like any other point, the focal length scales by s, and the skew entry scales with x.
+Points are (x, y). Letters: N points; K the 3x3 camera matrix, px.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def scaled_points(points_px: FloatArray, *, scale_xy: tuple[float, float]) -> FloatArray:
+    """Where points lie after the image was resized: ``x' = (x + 0.5) s - 0.5``.
+
+    Args:
+        points_px: (..., 2) x and y, px of the image before.
+        scale_xy: new size / old size along x and along y.
+
+    Returns:
+        (..., 2) float64, px of the resized image.
+
+    Raises:
+        ValueError: the last axis does not hold x and y, or a scale is not positive.
+    """
+    points = np.asarray(points_px, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 2:
+        raise ValueError(f"points must have shape (..., 2), found {points.shape}")
+    scale = _checked_scale(scale_xy)
+    return (points + 0.5) * scale - 0.5
+
+
+def scaled_intrinsics(K: FloatArray, *, scale_xy: tuple[float, float]) -> FloatArray:
+    """Camera matrix of the resized image.
+
+    Projecting with the result equals projecting with ``K`` and moving the points by :func:`scaled_points`.
+
+    Args:
+        K: (3, 3) camera matrix, px of the image before.
+        scale_xy: new size / old size along x and along y.
+
+    Returns:
+        (3, 3) float64, px of the resized image.
+
+    Raises:
+        ValueError: ``K`` is not 3x3 or a scale is not positive.
+    """
+    scale_x, scale_y = _checked_scale(scale_xy)
+    resized_from_image = np.array(
+        [[scale_x, 0.0, 0.5 * scale_x - 0.5], [0.0, scale_y, 0.5 * scale_y - 0.5], [0.0, 0.0, 1.0]]
+    )
+    return resized_from_image @ _checked_intrinsics(K)
+
+
+def cropped_intrinsics(K: FloatArray, *, origin_xy: tuple[float, float]) -> FloatArray:
+    """Camera matrix of a crop.
+
+    Args:
+        K: (3, 3) camera matrix, px of the whole image.
+        origin_xy: the crop's top-left pixel, px of the whole image.
+
+    Returns:
+        (3, 3) float64, px of the crop.
+
+    Raises:
+        ValueError: ``K`` is not 3x3.
+    """
+    cropped = _checked_intrinsics(K).copy()
+    cropped[:2, 2] -= origin_xy
+    return cropped
+
+
+def _checked_scale(scale_xy: tuple[float, float]) -> FloatArray:
+    scale = np.asarray(scale_xy, dtype=np.float64)
+    if scale.shape != (2,) or not np.all(np.isfinite(scale) & (scale > 0)):
+        raise ValueError(f"scale_xy must be two positive numbers, found {scale_xy}")
+    return scale
+
+
+def _checked_intrinsics(K: FloatArray) -> FloatArray:
+    matrix = np.asarray(K, dtype=np.float64)
+    if matrix.shape != (3, 3):
+        raise ValueError(f"K must be a 3x3 camera matrix, found shape {matrix.shape}")
+    return matrix

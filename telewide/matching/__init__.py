@@ -1,0 +1,1 @@
+"""Two comparable views to a disparity map: networks and the semi-global baseline."""

@@ -1,0 +1,148 @@
+"""Options: what a recipe, a board or a capture sheet may say, and messages a person can act on when it says it wrongly.
+
+An options class is a frozen pydantic model that refuses unknown keys; every field has a docstring. A key is named by
+its dotted path (``train.learning_rate``), in messages and in ``--set train.learning_rate=1e-4`` alike.
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, TypeVar, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from telewide.errors import TelewideError, UsageError
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+_KNOWN_KEYS_SHOWN = 12
+
+
+class Options(BaseModel):
+    """Base of every options class: frozen, no unknown key."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+OptionsT = TypeVar("OptionsT", bound=Options)
+
+
+def parse_options(
+    cls: type[OptionsT], data: Mapping[str, object], *, source: str, error: type[TelewideError]
+) -> OptionsT:
+    """Check plain data against an options class.
+
+    Args:
+        cls: the options class.
+        data: keys and values as YAML gives them.
+        source: where the data comes from, for the message: a file name, ``--set``.
+        error: what to raise.
+
+    Returns:
+        The options, with defaults filled in.
+
+    Raises:
+        TelewideError: of the given class. The message names every wrong key by its dotted path: an unknown one with
+            the nearest known one, a wrong value with what was expected.
+    """
+    if not isinstance(data, Mapping):
+        raise error(f"{source}: found {_shown(data)}, expected keys and values")
+    try:
+        return cls.model_validate(dict(data))
+    except ValidationError as caught:
+        lines = [_explained(cls, detail) for detail in caught.errors(include_url=False)]
+        hint = f"known keys: {_first_few(sorted(_dotted_keys(cls)))}"
+        is_key_unknown = any(detail["type"] == "extra_forbidden" for detail in caught.errors(include_url=False))
+        raise error(f"{source}: " + "; ".join(lines), hint=hint if is_key_unknown else None) from None
+
+
+def apply_settings(data: Mapping[str, object], settings: Sequence[str]) -> dict[str, object]:
+    """Overlay ``a.b=value`` settings on plain data.
+
+    Args:
+        data: keys and values as YAML gives them; left as it is.
+        settings: dotted key, ``=``, a YAML value; later ones win. ``a.b=`` sets null.
+
+    Returns:
+        A changed copy.
+
+    Raises:
+        UsageError: a setting without ``=`` or key, a value that is no YAML, or a path through a plain value.
+    """
+    changed: dict[str, object] = copy.deepcopy(dict(data))
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        path = key.strip().split(".")
+        if not equals or not all(path):
+            raise UsageError(f"setting {setting!r}: expected key=value, such as train.seed=3")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as caught:
+            raise UsageError(f"setting {setting!r}: {text!r} is no YAML value") from caught
+        _set_in(changed, path, value, setting=setting)
+    return changed
+
+
+def _set_in(data: dict[str, object], path: Sequence[str], value: object, *, setting: str) -> None:
+    for depth, key in enumerate(path[:-1], start=1):
+        inner = data.setdefault(key, {})
+        if inner is None:
+            inner = data[key] = {}
+        if not isinstance(inner, dict):
+            raise UsageError(f"setting {setting!r}: {'.'.join(path[:depth])} is {_shown(inner)}, it holds no keys")
+        data = inner
+    data[path[-1]] = value
+
+
+def _explained(cls: type[Options], detail: ErrorDetails) -> str:
+    path = ".".join(str(part) for part in detail["loc"])
+    if detail["type"] == "extra_forbidden":
+        nearest = _nearest_key(cls, path)
+        return f"unknown key {path}" + (f", did you mean {nearest}?" if nearest else "")
+    if detail["type"] == "missing":
+        return f"{path} is missing"
+    # pydantic's sentence reads "Input should be a valid integer, ..."; a check of our own "Value error, ...".
+    expected = detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    place = f"{path} is" if path else "found"
+    return f"{place} {_shown(detail['input'])}, expected {expected}"
+
+
+def _nearest_key(cls: type[Options], path: str) -> str | None:
+    known = sorted(_dotted_keys(cls))
+    near = difflib.get_close_matches(path, known, n=1)
+    if near:
+        return near[0]
+    # The right word in the wrong section: compare last words.
+    by_word = {key.rpartition(".")[2]: key for key in known}
+    near = difflib.get_close_matches(path.rpartition(".")[2], sorted(by_word), n=1)
+    return by_word[near[0]] if near else None
+
+
+def _dotted_keys(cls: type[Options]) -> Iterator[str]:
+    for name, field in cls.model_fields.items():
+        key = field.alias or name
+        yield key
+        for inner in _options_inside(field.annotation):
+            yield from (f"{key}.{below}" for below in _dotted_keys(inner))
+
+
+def _options_inside(annotation: object) -> Iterator[type[Options]]:
+    """The options classes in an annotation such as ``Section | None`` or ``tuple[Stage, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, Options):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _options_inside(argument)
+
+
+def _first_few(keys: Sequence[str]) -> str:
+    shown = ", ".join(keys[:_KNOWN_KEYS_SHOWN])
+    return f"{shown} and {len(keys) - _KNOWN_KEYS_SHOWN} more" if len(keys) > _KNOWN_KEYS_SHOWN else shown
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,1 @@
+"""What the user came for: depth files, pictures, bokeh, the report."""

@@ -1,0 +1,1 @@
+"""Teach a network from the pairs themselves: one training loop."""
