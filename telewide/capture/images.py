@@ -1,0 +1,354 @@
+"""Read and write pictures and disparity maps.
+
+Every picture in memory is (H, W, 3) RGB float32 in [0, 1], sRGB-encoded, upright (EXIF orientation applied). Read are
+JPEG, PNG and TIFF with 8 or 16 bits per channel; grey, palette, alpha and CMYK become RGB. An embedded colour profile
+other than sRGB is converted (8 bit) or named in a warning (16 bit).
+PFM: rows from bottom to top, little endian, +inf for unknown on disk, NaN in memory.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageCms
+
+from telewide.capture.rundir import replacing
+from telewide.errors import InputError, UsageError
+
+FloatImage = NDArray[np.float32]
+Samples = NDArray[np.integer]
+
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".kdc"})
+HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif", ".avif"})
+
+_PILLOW_FORMATS = ("JPEG", "PNG", "TIFF")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+_TAG_ORIENTATION, _TAG_ICC, _TAG_DNG_VERSION = 274, 34675, 50706
+_EXPORT_HINT = "export it as JPEG, PNG or TIFF"
+# A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
+_SRGB_TOLERANCE = 2
+_log = logging.getLogger("telewide")
+
+
+def read_image(path: Path) -> FloatImage:
+    """Read a photo upright, as sRGB.
+
+    Args:
+        path: a JPEG, PNG or TIFF file.
+
+    Returns:
+        (H, W, 3) RGB float32 in [0, 1].
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: the file is empty, cut off, damaged, or of another format.
+    """
+    data = _read_bytes(path)
+    _refuse_other_formats(path, data)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on photos above 89 megapixels
+            samples, orientation = _decode(path, data)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # the decoders fail on damaged files in a dozen ways
+        raise InputError(
+            f"{path} cannot be read as an image, it is cut off or damaged: {error}",
+            hint="copy the file again from the phone",
+        ) from error
+    scale = np.float32(1 / 65535 if samples.dtype == np.uint16 else 1 / 255)
+    upright = _upright(_three_channels(samples), orientation)
+    image: FloatImage = upright.astype(np.float32, order="C")
+    np.multiply(image, scale, out=image)
+    return image
+
+
+def write_image(path: Path, image: FloatImage, *, quality: int = 92) -> None:
+    """Write a picture with 8 bits per channel, whole or not at all.
+
+    Args:
+        path: ends in .png, .jpg or .jpeg.
+        image: (H, W, 3) RGB or (H, W) grey, [0, 1]; values outside are clipped, NaN becomes 0.
+        quality: of a JPEG, 1 to 100.
+
+    Raises:
+        UsageError: another suffix, or the place cannot be written.
+    """
+    levels = (np.clip(np.nan_to_num(image, nan=0.0), 0, 1) * 255 + 0.5).astype(np.uint8)
+    suffix = path.suffix.lower()
+    if suffix == ".png":
+        _write_encoded(path, levels, [])
+    elif suffix in {".jpg", ".jpeg"}:
+        _write_encoded(path, levels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    else:
+        raise UsageError(f"{path}: a picture is written as .png or .jpg, not as {suffix or 'a name without suffix'}")
+
+
+def write_png16(path: Path, values: NDArray[np.uint16]) -> None:
+    """Write a PNG with 16 bits per channel, whole or not at all.
+
+    Args:
+        path: ends in .png.
+        values: (H, W) or (H, W, 3) RGB uint16.
+
+    Raises:
+        ValueError: the values are not uint16, or the file is no .png.
+    """
+    if values.dtype != np.uint16 or path.suffix.lower() != ".png":
+        raise ValueError(f"a 16-bit .png holds uint16, got {values.dtype} for {path.name}")
+    _write_encoded(path, values, [])
+
+
+def read_pfm(path: Path) -> FloatImage:
+    """Read a disparity map from a PFM file.
+
+    The scale in the header gives the byte order alone: Middlebury's files do not want it multiplied in.
+
+    Args:
+        path: a one-channel PFM.
+
+    Returns:
+        (H, W) float32, px; NaN where the file has infinity or NaN.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: not a PFM, three channels, or cut off.
+    """
+    data = _read_bytes(path)
+    kind, *header = data.split(b"\n", 3)
+    if kind.strip() != b"Pf":
+        found = "a PFM with three channels" if kind.strip() == b"PF" else "no PFM"
+        raise InputError(f"{path} is {found}; a one-channel PFM (it begins with Pf) was expected")
+    try:
+        size, scale_text, body = header
+        width, height = (int(number) for number in size.split())
+        scale = float(scale_text)
+    except ValueError as error:
+        raise InputError(f"{path} has a broken PFM header: width and height, then the scale were expected") from error
+    expected = width * height * 4
+    if width < 1 or height < 1 or len(body) != expected:
+        raise InputError(f"{path} holds {len(body)} bytes of values; {width} x {height} floats need {expected}")
+    values = np.frombuffer(body, dtype="<f4" if scale < 0 else ">f4").reshape(height, width)[::-1]
+    return np.where(np.isfinite(values), values, np.float32(np.nan)).astype(np.float32)
+
+
+def write_pfm(path: Path, disparity: FloatImage) -> None:
+    """Write a disparity map as PFM: little endian, bottom row first, NaN as +inf; whole or not at all.
+
+    Args:
+        path: the file.
+        disparity: (H, W) float32, px; NaN where unknown.
+    """
+    height, width = disparity.shape
+    values = np.where(np.isnan(disparity), np.inf, disparity)[::-1].astype("<f4")
+    with replacing(path) as temporary:
+        temporary.write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + values.tobytes())
+
+
+def resize_bicubic(image: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
+    """Resize by Keys' cubic convolution (a = -0.5), antialiased where it shrinks.
+
+    Half-pixel rule: ``x' = (x + 0.5) s - 0.5``. Keys, Cubic convolution interpolation, IEEE TASSP 29(6), 1981.
+
+    Args:
+        image: (H, W, 3) or (H, W) float32 in [0, 1].
+        wh: width and height of the result.
+
+    Returns:
+        (wh[1], wh[0], 3) or (wh[1], wh[0]) float32, clipped to [0, 1].
+    """
+    if image.ndim == 2:
+        resized = np.asarray(Image.fromarray(image).resize(wh, Image.Resampling.BICUBIC))
+        return np.asarray(np.clip(resized, 0, 1), dtype=np.float32)
+    channels = [resize_bicubic(np.ascontiguousarray(image[..., i]), wh=wh) for i in range(image.shape[2])]
+    return np.stack(channels, axis=-1)
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise UsageError(f"{path} does not exist") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path} is a folder; a file was expected") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not data:
+        raise InputError(f"{path} is empty (0 bytes)", hint="copy the file again from the phone")
+    return data
+
+
+def unread_format(path: Path) -> str | None:
+    """Name the photo format of a file that is not read yet, by its suffix; None for every other file.
+
+    Args:
+        path: the file; it is not opened.
+
+    Returns:
+        "RAW", "HEIC" or None.
+    """
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return "RAW"
+    return "HEIC" if suffix in HEIF_SUFFIXES else None
+
+
+def _refuse_other_formats(path: Path, data: bytes) -> None:
+    other = unread_format(path)
+    if other is None and data[4:8] == b"ftyp":
+        other = "HEIC"
+    if other is not None:
+        raise InputError(f"{path} is a {other} photo; JPEG, PNG and TIFF are read", hint=_EXPORT_HINT)
+    if not data.startswith((b"\xff\xd8", _PNG, *_TIFF)):
+        raise InputError(f"{path} is no photo that can be read; JPEG, PNG and TIFF are read", hint=_EXPORT_HINT)
+
+
+def _decode(path: Path, data: bytes) -> tuple[Samples, int]:
+    """Return the stored samples as sRGB and the EXIF orientation still to be applied."""
+    if data.startswith(_TIFF):
+        deep = _decode_deep_tiff(path, data)
+        if deep is not None:
+            return deep
+    with Image.open(BytesIO(data), formats=_PILLOW_FORMATS) as photo:
+        photo.load()  # also finds cut-off files, which OpenCV lets pass
+        # Pillow turns a TIFF itself when it loads it, and then forgets its tag.
+        orientation = int(photo.getexif().get(_TAG_ORIENTATION, 1) or 1)
+        # Byte 24 of a PNG is the bit depth; Pillow would cut 16-bit colour down to 8.
+        if photo.format == "PNG" and data[24] == 16:
+            _warn_unless_srgb(path, photo.info.get("icc_profile"))
+            return _decode_deep_png(path, data), orientation
+        return np.asarray(_srgb_from_photo(path, photo)), orientation
+
+
+def _decode_deep_png(path: Path, data: bytes) -> Samples:
+    samples = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if samples is None or samples.dtype != np.uint16:
+        raise InputError(f"{path} is a 16-bit PNG that cannot be decoded")
+    if samples.ndim == 2:
+        return np.asarray(samples, dtype=np.uint16)
+    return np.asarray(samples[..., [2, 1, 0]], dtype=np.uint16)
+
+
+def _decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
+    """Decode a 16-bit TIFF; None leaves an 8-bit one to Pillow."""
+    import tifffile
+
+    with tifffile.TiffFile(BytesIO(data)) as tiff:
+        page = tiff.pages.first
+        if _TAG_DNG_VERSION in page.tags:
+            raise InputError(f"{path} is a RAW photo (DNG); JPEG, PNG and TIFF are read", hint=_EXPORT_HINT)
+        if page.dtype is None or page.dtype.kind not in "bu" or page.dtype.itemsize > 2:
+            raise InputError(f"{path} has values of type {page.dtype}; TIFF with 8 or 16 bits per channel is read")
+        if page.dtype != np.uint16:
+            return None
+        samples = np.asarray(page.asarray(), dtype=np.uint16)
+        axes, is_negative = page.axes, page.photometric == tifffile.PHOTOMETRIC.MINISWHITE
+        orientation = page.tags.valueof(_TAG_ORIENTATION, default=1)
+        profile = page.tags.valueof(_TAG_ICC)
+    if axes not in {"YX", "YXS", "SYX"}:
+        raise InputError(f"{path} is a TIFF with the axes {axes}; one photo was expected")
+    _warn_unless_srgb(path, profile)
+    if axes == "SYX":
+        samples = np.moveaxis(samples, 0, -1)
+    return (65535 - samples if is_negative else samples), int(orientation)
+
+
+def _srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
+    """Drop alpha, expand palettes, convert the embedded profile to sRGB."""
+    profile = photo.info.get("icc_profile")
+    if photo.mode in {"P", "PA"}:
+        photo = photo.convert("RGBA" if "transparency" in photo.info or photo.mode == "PA" else "RGB")
+    if photo.mode in {"RGBA", "LA"}:
+        if photo.getchannel("A").getextrema()[0] != 255:
+            _log.warning("%s has transparent pixels; they are read as opaque", path)
+        photo = photo.convert(photo.mode[:-1])
+    elif photo.mode not in {"L", "RGB", "CMYK"}:
+        photo = photo.convert("L" if photo.mode == "1" else "RGB")
+    if profile:
+        photo = _apply_profile(path, photo, profile)
+    return photo.convert("RGB")
+
+
+def _apply_profile(path: Path, photo: Image.Image, profile_bytes: bytes) -> Image.Image:
+    try:
+        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
+        if profile.profile.xcolor_space.strip() == "RGB":
+            photo = photo.convert("RGB")
+            if _is_srgb(profile):
+                return photo
+        transform = _srgb_transform(profile, photo.mode)
+        converted = ImageCms.applyTransform(photo, transform)
+    except (ImageCms.PyCMSError, OSError, ValueError) as error:
+        _log.warning("%s: its colour profile cannot be used (%s); the colours are read as sRGB", path, error)
+        return photo
+    return photo if converted is None else converted
+
+
+def _srgb_transform(profile: ImageCms.ImageCmsProfile, mode: str) -> ImageCms.ImageCmsTransform:
+    return ImageCms.buildTransform(
+        profile,
+        ImageCms.createProfile("sRGB"),
+        mode,
+        "RGB",
+        renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
+        flags=ImageCms.Flags.BLACKPOINTCOMPENSATION,
+    )
+
+
+def _is_srgb(profile: ImageCms.ImageCmsProfile) -> bool:
+    """Tell by what the profile does to a grid of colours: names such as "sRGB IEC61966-2.1" come in dozens."""
+    steps = np.linspace(0, 255, 9).round().astype(np.uint8)
+    colours = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(27, 27, 3)
+    converted = ImageCms.applyTransform(Image.fromarray(colours), _srgb_transform(profile, "RGB"))
+    change = np.abs(np.asarray(converted, dtype=np.int16) - colours.astype(np.int16))
+    return int(change.max()) <= _SRGB_TOLERANCE
+
+
+def _warn_unless_srgb(path: Path, profile_bytes: object) -> None:
+    """Warn of a profile that is not converted: Pillow's colour conversion has 8 bits."""
+    if not isinstance(profile_bytes, bytes):
+        return
+    try:
+        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
+        name = ImageCms.getProfileDescription(profile).strip()
+        if profile.profile.xcolor_space.strip() == "RGB" and _is_srgb(profile):
+            return
+    except (ImageCms.PyCMSError, OSError, ValueError) as error:
+        name = f"unreadable: {error}"
+    _log.warning("%s has the colour profile %r; 16-bit colours are not converted but read as sRGB", path, name)
+
+
+def _three_channels(samples: Samples) -> Samples:
+    if samples.ndim == 2 or samples.shape[2] <= 2:
+        grey = samples if samples.ndim == 2 else samples[..., 0]
+        return np.repeat(grey[..., None], 3, axis=2)
+    return samples[..., :3]
+
+
+def _upright(samples: Samples, orientation: int) -> Samples:
+    """Apply an EXIF orientation (CIPA DC-008, tag 274): the sides where the stored row 0 and column 0 belong."""
+    if orientation in {5, 6, 7, 8}:
+        samples = samples.swapaxes(0, 1)
+    if orientation in {2, 3, 6, 7}:
+        samples = samples[:, ::-1]
+    if orientation in {3, 4, 7, 8}:
+        samples = samples[::-1]
+    return samples
+
+
+def _write_encoded(path: Path, levels: Samples, parameters: list[int]) -> None:
+    stored = levels if levels.ndim == 2 else np.ascontiguousarray(levels[..., ::-1])
+    done, encoded = cv2.imencode(path.suffix.lower(), stored, parameters)
+    if not done:
+        raise ValueError(f"{path}: an image of shape {levels.shape} and type {levels.dtype} cannot be encoded")
+    with replacing(path) as temporary:
+        temporary.write_bytes(encoded.tobytes())

@@ -1,0 +1,265 @@
+"""Find the captures in a folder.
+
+Four layouts are recognised, also mixed in one folder; letter case does not matter, hidden files are not looked at::
+
+    <name>/tele.*           <name>/wide.*           a folder per capture
+    <name>_tele.*           <name>_wide.*           also -T/-W, _3x/_1x
+    tele/<name>.*           wide/<name>.*           a folder per view
+    tele.*                  wide.*                  the given folder is one capture
+
+A true disparity map, where there is one, is ``<name>/truth.pfm``, ``<name>_truth.pfm`` or ``truth/<name>.pfm``.
+What is wrong with one capture is a `Problem` and leaves the others alone.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import re
+import unicodedata
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
+from telewide.capture.images import HEIF_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, unread_format
+from telewide.errors import InputError, UsageError
+
+# Of two files for one view the one that lost less is taken.
+_SUFFIX_ORDER = (".tif", ".tiff", ".png", ".jpg", ".jpeg")
+_PHOTO_SUFFIXES = IMAGE_SUFFIXES | RAW_SUFFIXES | HEIF_SUFFIXES
+_TRUTH_SUFFIX = ".pfm"
+_VIEWS = ("tele", "wide")
+_MAX_LISTED = 5
+_ROLE_SUFFIX = re.compile(
+    r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))", re.IGNORECASE
+)
+_LAYOUTS = "<name>/tele.* with <name>/wide.*, <name>_tele.* with <name>_wide.*, or tele/<name>.* with wide/<name>.*"
+
+# name of a capture -> role (tele, wide, truth) -> the files that could be it
+_Candidates = dict[str, dict[str, list[Path]]]
+
+
+@dataclass(frozen=True)
+class Capture:
+    """The two photos of one scene.
+
+    Attributes:
+        name: unique in its set; fit for a folder name.
+        tele_path: photo of the tele camera.
+        wide_path: photo of the wide camera.
+        truth_path: PFM with the true disparity of the reference view, if there is one.
+    """
+
+    name: str
+    tele_path: Path
+    wide_path: Path
+    truth_path: Path | None = None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is wrong with one capture.
+
+    Attributes:
+        name: of the capture.
+        message: what is wrong, with the files.
+        is_skipped: True where the capture is left out, False where it is used all the same.
+    """
+
+    name: str
+    message: str
+    is_skipped: bool = True
+
+
+@dataclass(frozen=True)
+class CaptureSet:
+    """The captures of one folder.
+
+    Attributes:
+        root: the folder.
+        captures: sorted by name, never empty.
+        facts: what ``captures.yaml`` states of all of them.
+        problems: what was left out or chosen, and why.
+    """
+
+    root: Path
+    captures: tuple[Capture, ...]
+    facts: CaptureFacts
+    problems: tuple[Problem, ...]
+
+
+def find_captures(folder: Path) -> CaptureSet:
+    """Find the captures in a folder, whatever its layout.
+
+    Args:
+        folder: holds captures in any of the layouts above, or is one capture.
+
+    Returns:
+        The captures with the facts of ``captures.yaml``.
+
+    Raises:
+        UsageError: there is no such folder.
+        InputError: no capture is left, or ``captures.yaml`` cannot be used.
+    """
+    if not folder.exists():
+        raise UsageError(f"{folder} does not exist; a folder with captures was expected")
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file; a folder with captures was expected")
+    candidates = _candidates(folder)
+    captures, problems = _choose(candidates)
+    if not captures:
+        raise _nothing_found(folder, problems)
+    return CaptureSet(folder, tuple(captures), read_facts(_facts_path(folder, captures)), tuple(problems))
+
+
+def _candidates(folder: Path) -> _Candidates:
+    found: _Candidates = defaultdict(lambda: defaultdict(list))
+    own_name = _normal(folder.resolve().name) or "capture"
+    for entry in _visible(folder):
+        role = entry.name.casefold()
+        if entry.is_dir() and role in {*_VIEWS, "truth"}:
+            for file in _files(entry):
+                found[_normal(file.stem)][role].append(file)
+        elif entry.is_dir():
+            _add_capture_folder(found, entry)
+        elif _is_photo_or_truth(entry):
+            _add_file(found, entry, own_name)
+    return found
+
+
+def _add_capture_folder(found: _Candidates, folder: Path) -> None:
+    name, files = _normal(folder.name), _files(folder)
+    for file in files:
+        role = file.stem.casefold()
+        if role in {*_VIEWS, "truth"}:
+            found[name][role].append(file)
+    if name not in found and any(file.suffix.lower() in _PHOTO_SUFFIXES for file in files):
+        found[name]["unnamed"].extend(files)
+
+
+def _add_file(found: _Candidates, file: Path, own_name: str) -> None:
+    stem = _normal(file.stem)
+    if stem.casefold() in {*_VIEWS, "truth"}:
+        found[own_name][stem.casefold()].append(file)
+    elif match := _ROLE_SUFFIX.fullmatch(stem):
+        found[match["name"]][_role(match)].append(file)
+
+
+def _role(match: re.Match[str]) -> str:
+    if match["word"]:
+        return match["word"].casefold()
+    if match["letter"]:
+        return "tele" if match["letter"] in "tT" else "wide"
+    return "wide" if match["zoom"].casefold() == "1x" else "tele"
+
+
+def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
+    captures, problems = [], []
+    for name in sorted(candidates):
+        roles = candidates[name]
+        message = _why_unusable(roles)
+        if message is not None:
+            problems.append(Problem(name, message))
+            continue
+        tele, wide = (_best(roles[view]) for view in _VIEWS)
+        if is_same_file(tele, wide):
+            problems.append(Problem(name, f"{tele} and {wide} are the same picture; two were expected"))
+            continue
+        problems += [_ambiguity(name, view, roles[view]) for view in _VIEWS if len(_readable(roles[view])) > 1]
+        captures.append(Capture(name, tele, wide, _truth(roles)))
+    return captures, problems
+
+
+def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
+    if "unnamed" in roles:
+        return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
+    for view, other in (_VIEWS, _VIEWS[::-1]):
+        if not roles.get(view):
+            present = roles.get(other) or roles.get("truth") or []
+            return f"the {view} view is missing; found {_listed(present)}"
+        if not _readable(roles[view]):
+            photo = roles[view][0]
+            return f"{photo} is a {unread_format(photo)} photo; export it as JPEG, PNG or TIFF"
+    return None
+
+
+def _readable(paths: Iterable[Path]) -> list[Path]:
+    """Return the files that can be read, the best first; a RAW twin of a JPEG is passed over."""
+    readable = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
+    return sorted(readable, key=lambda path: (_SUFFIX_ORDER.index(path.suffix.lower()), str(path)))
+
+
+def _best(paths: Iterable[Path]) -> Path:
+    return _readable(paths)[0]
+
+
+def _ambiguity(name: str, view: str, paths: Iterable[Path]) -> Problem:
+    best, *others = _readable(paths)
+    return Problem(name, f"two files for the {view} view: {best} is taken, {_listed(others)} is not", is_skipped=False)
+
+
+def _truth(roles: dict[str, list[Path]]) -> Path | None:
+    return next((path for path in roles.get("truth", ()) if path.suffix.lower() == _TRUTH_SUFFIX), None)
+
+
+def is_same_file(first: Path, second: Path) -> bool:
+    """Tell whether two paths lead to one file, or to two files with the same bytes.
+
+    Args:
+        first: an existing file.
+        second: an existing file.
+    """
+    try:
+        return first.samefile(second) or filecmp.cmp(first, second, shallow=False)
+    except OSError:  # one of them cannot be opened: reading it says so in its own words
+        return False
+
+
+def _facts_path(folder: Path, captures: list[Capture]) -> Path:
+    """Return the facts of this folder; of one capture taken out of a set, those of the set."""
+    own, above = folder / FACTS_FILE, folder.absolute().parent / FACTS_FILE
+    is_one_of_a_set = len(captures) == 1 and captures[0].tele_path.parent == folder
+    return above if is_one_of_a_set and not own.exists() else own
+
+
+def _nothing_found(folder: Path, problems: list[Problem]) -> InputError:
+    entries = _visible(folder)
+    for entry in entries:
+        if entry.is_dir() and _choose(_candidates(entry))[0]:
+            return InputError(f"{folder} holds no captures, but {entry} does", hint=f"name {entry} instead")
+    hint = f"expected {_LAYOUTS}"
+    if problems:
+        told = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems[:_MAX_LISTED])
+        more = f"\n  and {len(problems) - _MAX_LISTED} more" if len(problems) > _MAX_LISTED else ""
+        return InputError(f"{folder} holds no capture that can be used:{told}{more}", hint=hint)
+    inside = f"it holds {_listed(entries)}" if entries else "it is empty"
+    return InputError(f"{folder} holds no captures: {inside}", hint=hint)
+
+
+def _visible(folder: Path) -> list[Path]:
+    """Return the entries a person put there: no hidden files, nothing an archiver added."""
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder} cannot be opened: {error.strerror or error}") from error
+    return [entry for entry in entries if not entry.name.startswith((".", "__MACOSX"))]
+
+
+def _files(folder: Path) -> list[Path]:
+    return [entry for entry in _visible(folder) if _is_photo_or_truth(entry)]
+
+
+def _is_photo_or_truth(path: Path) -> bool:
+    return path.suffix.lower() in _PHOTO_SUFFIXES | {_TRUTH_SUFFIX} and path.is_file()
+
+
+def _normal(name: str) -> str:
+    """Return one spelling for names that look the same: file systems disagree on composed letters."""
+    return unicodedata.normalize("NFC", name)
+
+
+def _listed(paths: Iterable[Path]) -> str:
+    names = [path.name for path in paths]
+    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+    return ", ".join(names[:_MAX_LISTED]) + more

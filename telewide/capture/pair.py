@@ -1,0 +1,178 @@
+"""Captures and the pairs of pictures read from them.
+
+`find_captures` looks into a folder, `read_pair` brings the two views of one capture to one size, `PairReader` keeps
+what was read. tele is the sharp view; wide, when it is smaller, is enlarged to tele's size.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from telewide.capture.facts import CaptureFacts, read_facts
+from telewide.capture.images import FloatImage, read_image, read_pfm, resize_bicubic
+from telewide.capture.layout import Capture, CaptureSet, Problem, find_captures
+from telewide.errors import InputError
+
+__all__ = [
+    "Capture",
+    "CaptureFacts",
+    "CaptureSet",
+    "PairReader",
+    "Problem",
+    "RectifiedPair",
+    "find_captures",
+    "read_facts",
+    "read_pair",
+    "read_truth",
+]
+
+MIN_SIDE_PX = 32
+# A stated asymmetry this far from the measured ratio of sizes is worth a word.
+_FACTOR_TOLERANCE = 0.1
+_log = logging.getLogger("telewide")
+
+
+@dataclass(frozen=True)
+class RectifiedPair:
+    """Two views of one size whose corresponding points lie on (nearly) the same row.
+
+    Attributes:
+        name: of the capture.
+        tele: (H, W, 3) RGB float32 in [0, 1].
+        wide: (H, W, 3) RGB float32 in [0, 1], enlarged to tele's size.
+    """
+
+    name: str
+    tele: FloatImage
+    wide: FloatImage
+
+
+def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> RectifiedPair:
+    """Read the two views of a capture and bring wide to tele's size.
+
+    Args:
+        capture: what to read.
+        facts: what its owner states; a stated asymmetry that contradicts the sizes is warned of.
+
+    Returns:
+        The pair.
+
+    Raises:
+        UsageError: a file does not exist.
+        InputError: a file cannot be read, is too small, both views are the same picture, or no common factor explains
+            the two sizes.
+    """
+    tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
+    _refuse_tiny(capture.tele_path, tele)
+    _refuse_tiny(capture.wide_path, wide)
+    if np.array_equal(tele, wide):
+        raise InputError(
+            f"{capture.tele_path} and {capture.wide_path} are the same picture; two different photos were expected"
+        )
+    if tele.shape != wide.shape:
+        _check_factor(capture, tele, wide, facts)
+        wide = resize_bicubic(wide, wh=(tele.shape[1], tele.shape[0]))
+    return RectifiedPair(capture.name, tele, wide)
+
+
+def read_truth(capture: Capture, *, hw: tuple[int, int] | None = None) -> FloatImage | None:
+    """Read the true disparity of a capture.
+
+    Args:
+        capture: what to read.
+        hw: height and width the map must have, those of the pair; None asks for none.
+
+    Returns:
+        (H, W) float32, px, NaN where unknown; None where the capture has no truth.
+
+    Raises:
+        InputError: the file cannot be read or has another size.
+    """
+    if capture.truth_path is None:
+        return None
+    disparity_px = read_pfm(capture.truth_path)
+    if hw is not None and disparity_px.shape != hw:
+        found, expected = _size(disparity_px.shape), _size(hw)
+        raise InputError(f"{capture.truth_path} is {found}; the size of the pair, {expected}, was expected")
+    return disparity_px
+
+
+class PairReader:
+    """Reads pairs and keeps the last ones, within a budget of memory.
+
+    Args:
+        facts: passed on to `read_pair`.
+        max_bytes: of all kept pictures together; a single larger pair is read each time.
+    """
+
+    def __init__(self, *, facts: CaptureFacts | None = None, max_bytes: int = 1 << 30) -> None:
+        self._facts = facts
+        self._max_bytes = max_bytes
+        self._kept: OrderedDict[Capture, RectifiedPair] = OrderedDict()
+
+    @property
+    def kept_bytes(self) -> int:
+        """Memory of all kept pictures."""
+        return sum(_bytes_of(pair) for pair in self._kept.values())
+
+    def read(self, capture: Capture) -> RectifiedPair:
+        """Return the pair of a capture; read it if it is not kept.
+
+        Args:
+            capture: what to read.
+
+        Returns:
+            The pair; its arrays are shared with later calls and must not be changed.
+
+        Raises:
+            InputError: see `read_pair`.
+        """
+        pair = self._kept.pop(capture, None)
+        if pair is None:
+            pair = read_pair(capture, facts=self._facts)
+        self._kept[capture] = pair
+        while self._kept and self.kept_bytes > self._max_bytes:
+            self._kept.popitem(last=False)
+        return pair
+
+
+def _bytes_of(pair: RectifiedPair) -> int:
+    return pair.tele.nbytes + pair.wide.nbytes
+
+
+def _refuse_tiny(path: Path, image: FloatImage) -> None:
+    if min(image.shape[:2]) < MIN_SIDE_PX:
+        raise InputError(f"{path} is {_size(image.shape)} px; both sides of a photo must have {MIN_SIDE_PX} or more")
+
+
+def _check_factor(capture: Capture, tele: FloatImage, wide: FloatImage, facts: CaptureFacts | None) -> None:
+    """Refuse sizes that are not one picture size and the same shrunk by a factor, in whole pixels."""
+    tele_hw, wide_hw = tele.shape[:2], wide.shape[:2]
+    lowest, highest = _factor_range(tele_hw, wide_hw)
+    sizes = f"{capture.tele_path} is {_size(tele_hw)} px and {capture.wide_path} is {_size(wide_hw)} px"
+    if lowest >= highest:
+        turned_lowest, turned_highest = _factor_range(tele_hw, wide_hw[::-1])
+        hint = "turn one of them by 90 degrees" if turned_lowest < turned_highest else "crop both to the same view"
+        raise InputError(f"{sizes}; no common factor explains the two sizes", hint=hint)
+    if highest <= 1:
+        raise InputError(f"{sizes}; tele must not be the smaller one", hint="are the two views swapped?")
+    factor = float(np.sqrt(tele.size / wide.size))
+    if facts is not None and facts.asymmetry and abs(factor / facts.asymmetry - 1) > _FACTOR_TOLERANCE:
+        _log.warning("%s: a factor of %.2f, but the stated asymmetry is %.2f", sizes, factor, facts.asymmetry)
+
+
+def _factor_range(tele_hw: tuple[int, ...], wide_hw: tuple[int, ...]) -> tuple[float, float]:
+    """Return the open range of the factors k with ``|wide k - tele| < k`` on both sides; empty where none fits."""
+    lowest = max(tele / (wide + 1) for tele, wide in zip(tele_hw, wide_hw, strict=True))
+    highest = min(tele / (wide - 1) for tele, wide in zip(tele_hw, wide_hw, strict=True))
+    return lowest, highest
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[0]}"
