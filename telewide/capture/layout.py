@@ -36,8 +36,8 @@ _ROLE_SUFFIX = re.compile(
 )
 _LAYOUTS = "<name>/tele.* with <name>/wide.*, <name>_tele.* with <name>_wide.*, or tele/<name>.* with wide/<name>.*"
 
-# name of a capture -> role (tele, wide, truth) -> the files that could be it
-_Candidates = dict[str, dict[str, list[Path]]]
+# (name of a capture, its layout) -> role (tele, wide, truth) -> the files that could be it
+_Candidates = dict[tuple[str, str], dict[str, list[Path]]]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def _candidates(folder: Path) -> _Candidates:
         role = entry.name.casefold()
         if entry.is_dir() and role in {*_VIEWS, "truth"}:
             for file in _files(entry):
-                found[_normal(file.stem)][role].append(file)
+                found[_normal(file.stem), "split"][role].append(file)
         elif entry.is_dir():
             _add_capture_folder(found, entry)
         elif _is_photo_or_truth(entry):
@@ -129,21 +129,21 @@ def _candidates(folder: Path) -> _Candidates:
 
 
 def _add_capture_folder(found: _Candidates, folder: Path) -> None:
-    name, files = _normal(folder.name), _files(folder)
+    key, files = (_normal(folder.name), "folder"), _files(folder)
     for file in files:
         role = file.stem.casefold()
         if role in {*_VIEWS, "truth"}:
-            found[name][role].append(file)
-    if name not in found and any(file.suffix.lower() in _PHOTO_SUFFIXES for file in files):
-        found[name]["unnamed"].extend(files)
+            found[key][role].append(file)
+    if key not in found and any(file.suffix.lower() in _PHOTO_SUFFIXES for file in files):
+        found[key]["unnamed"].extend(files)
 
 
 def _add_file(found: _Candidates, file: Path, own_name: str) -> None:
     stem = _normal(file.stem)
     if stem.casefold() in {*_VIEWS, "truth"}:
-        found[own_name][stem.casefold()].append(file)
+        found[own_name, "folder"][stem.casefold()].append(file)
     elif match := _ROLE_SUFFIX.fullmatch(stem):
-        found[match["name"]][_role(match)].append(file)
+        found[match["name"], "suffix"][_role(match)].append(file)
 
 
 def _role(match: re.Match[str]) -> str:
@@ -155,20 +155,18 @@ def _role(match: re.Match[str]) -> str:
 
 
 def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
-    captures, problems = [], []
-    for name in sorted(candidates):
-        roles = candidates[name]
+    captures: dict[str, Capture] = {}
+    problems = []
+    for (name, _), roles in sorted(candidates.items(), key=lambda item: item[0]):
         message = _why_unusable(roles)
+        if message is None and name in captures:
+            message = f"{_best(roles['tele'])} is not read: {captures[name].tele_path} has the same name"
         if message is not None:
             problems.append(Problem(name, message))
             continue
-        tele, wide = (_best(roles[view]) for view in _VIEWS)
-        if is_same_file(tele, wide):
-            problems.append(Problem(name, f"{tele} and {wide} are the same picture; two were expected"))
-            continue
         problems += [_ambiguity(name, view, roles[view]) for view in _VIEWS if len(_readable(roles[view])) > 1]
-        captures.append(Capture(name, tele, wide, _truth(roles)))
-    return captures, problems
+        captures[name] = Capture(name, _best(roles["tele"]), _best(roles["wide"]), _truth(roles))
+    return list(captures.values()), problems
 
 
 def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
@@ -181,6 +179,9 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
         if not _readable(roles[view]):
             photo = roles[view][0]
             return f"{photo} is a {unread_format(photo)} photo; export it as JPEG, PNG or TIFF"
+    tele, wide = (_best(roles[view]) for view in _VIEWS)
+    if is_same_file(tele, wide):
+        return f"{tele} and {wide} are the same picture; two different photos were expected"
     return None
 
 
