@@ -1,1 +1,1 @@
-"""Known worlds and known damage: scenes with exact truth, degradation of photos."""
+"""Known worlds and known damage."""

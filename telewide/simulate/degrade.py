@@ -1,7 +1,7 @@
 """What a second, worse camera does to a picture: it moves, blurs, shrinks, adds noise, compresses and tints it.
 
-The order is that of a phone: lens (vertical shift, blur), sensor (fewer pixels, noise), storage (JPEG at the sensor's own
-size), colour processing. What remains is enlarged back to the size of the sharp view, as a reader of pairs does.
+The order is that of a phone: lens (vertical shift, blur), sensor (fewer pixels, noise), storage (JPEG at the sensor's
+own size), colour processing. What remains is enlarged back to the size of the sharp view, as a reader of pairs does.
 Images are (H, W, 3) float32, sRGB, in [0, 1]. All resizing is bicubic (a = -0.5), antialiased when shrinking, and obeys
 the half-pixel rule ``x' = (x + 0.5) s - 0.5`` with s the exact ratio of the two sizes.
 """
@@ -195,11 +195,10 @@ def _clipped(image: FloatImage) -> FloatImage:
 
 
 def _move_vertically(image: FloatImage, *, offset_px: float, slope: float) -> FloatImage:
-    """Row y shows what was at row ``y - offset - slope (y - centre)`` (first order in the slope, exact inverse below)."""
+    """Move the point at row y to row ``y + offset + slope (y - centre)``."""
     if offset_px == 0 and slope == 0:
         return image
     centre = (image.shape[0] - 1) / 2
-    # A point at y goes to y + offset + slope (y - centre): its inverse is what warpAffine wants here.
     scale = 1.0 / (1.0 + slope)
     source_from_moved = np.array([[1.0, 0.0, 0.0], [0.0, scale, (slope * centre - offset_px) * scale]])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP

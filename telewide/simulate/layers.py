@@ -1,14 +1,15 @@
 """A world of textured surfaces, seen from any viewpoint exactly.
 
-A layer is a surface whose disparity is ``d(x, y) = a + b x + c y + relief(x, y)`` in pixels of the reference view. Moving
-the viewpoint by ``(s_x, s_y)`` moves the point at (x, y) to ``(x, y) + s (d(x, y) - pivot)``: ``s = (0, 0)`` is the
-reference view, ``s = (-1, 0)`` the source view (``disparity_px = x_ref - x_src``), and the points of a disk are the points
-of a lens focused at the pivot. With ``e = d - pivot`` the inverse is closed up to the relief:
+A layer is a surface whose disparity is ``d(x, y) = a + b x + c y + relief(x, y)`` in pixels of the reference view.
+Moving the viewpoint by ``(s_x, s_y)`` moves the point at (x, y) to ``(x, y) + s (d(x, y) - pivot)``: ``s = (0, 0)`` is
+the reference view, ``s = (-1, 0)`` the source view (``disparity_px = x_ref - x_src``), and the points of a disk are the
+points of a lens focused at the pivot. With ``e = d - pivot`` the inverse is closed up to the relief:
 
     e(x', y') = (a - pivot + b x' + c y' + relief(x' - s_x e, y' - s_y e)) / (1 + b s_x + c s_y)
 
 and a few fixed-point steps settle the relief, whose slopes are gentle. Where surfaces cross, the nearer one is seen.
-Pixel (0, 0) is the centre of the reference view's top-left pixel. Images are float32 sRGB in [0, 1]. Letters: H W image.
+Pixel (0, 0) is the centre of the reference view's top-left pixel. Images are float32 sRGB in [0, 1].
+Letters: H W image, h w texture.
 """
 
 from __future__ import annotations
@@ -130,10 +131,13 @@ def render_view(scene: LayeredScene, *, parallax_xy: tuple[float, float] = (0.0,
         colour, alpha, disparity_px = _layer_in_view(layer, box, parallax_xy=parallax_xy, pivot_px=pivot_px)
         x0, y0, x1, y1 = box
         window = np.s_[y0:y1, x0:x1]
-        in_front = disparity_px >= nearest_px[window]
-        cover = in_front.astype(np.float32) if alpha is None else alpha * in_front
-        image[window] += cover[..., None] * (colour - image[window])
-        solid = cover > 0.5
+        solid = disparity_px >= nearest_px[window]
+        if alpha is None:
+            np.copyto(image[window], colour, where=solid[..., None])
+        else:
+            cover = alpha * solid
+            image[window] += cv2.merge([cover, cover, cover]) * (colour - image[window])
+            solid = cover > 0.5
         np.copyto(nearest_px[window], disparity_px, where=solid)
         np.copyto(index[window], np.int16(number), where=solid)
     nearest_px[index < 0] = np.nan
@@ -257,8 +261,10 @@ def _layer_in_view(
     alpha = None
     if layer.alpha is not None:
         alpha = cv2.remap(layer.alpha, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    return np.asarray(colour, np.float32), None if alpha is None else np.asarray(alpha, np.float32), (
-        moved_px + np.float32(pivot_px)
+    return (
+        np.asarray(colour, np.float32),
+        None if alpha is None else np.asarray(alpha, np.float32),
+        (moved_px + np.float32(pivot_px)),
     )
 
 

@@ -1,8 +1,8 @@
 """Random still lifes with known disparity, to train and to judge matchers on.
 
-A scene has a wall (slanted, folded like a corner, or hanging like cloth), often a floor, and objects before them: stones,
-boxes, pots and balls with gentle reliefs, poles and bars, plants with thin slanted leaves, frames with holes. Some share
-the texture of what is behind them, some have hardly any, some repeat. Everything is in reference pixels.
+A scene has a wall (slanted, folded like a corner, or hanging like cloth), often a floor, and objects before them:
+stones, boxes, pots and balls with gentle reliefs, poles and bars, plants with thin slanted leaves, frames with holes.
+Some share the texture of what is behind them, some have hardly any, some repeat. Everything is in reference pixels.
 Letters: H W image, h w window of an object.
 """
 
@@ -97,11 +97,12 @@ def random_scene(
     ground = _floor(world, wall) if rng.random() < 0.45 else None
     behind = [wall] if ground is None else [wall, ground]
     objects: list[Layer] = []
-    anchor_px = float(rng.uniform(world.low_px, world.high_px))
+    wall_px = float(np.mean(disparity_range_px(wall)))
+    anchor_px = float(rng.uniform(wall_px, world.high_px))
     for _ in range(int(rng.integers(n_layers[0], n_layers[1] + 1))):
         # A third of the objects crowd around one distance, so that small steps of disparity occur too.
         near_anchor = rng.random() < 0.3
-        disparity_px = anchor_px + rng.normal(0.0, 2.0) if near_anchor else rng.uniform(world.low_px, world.high_px)
+        disparity_px = anchor_px + rng.normal(0.0, 2.0) if near_anchor else rng.uniform(wall_px, world.high_px)
         objects += _object(world, ground, disparity_px=float(disparity_px))
     objects.sort(key=lambda layer: sum(disparity_range_px(layer)))
     if rng.random() < 0.5:
@@ -147,7 +148,7 @@ def _wall(world: _World) -> Layer:
     rng = world.rng
     height, width = world.box[3] - world.box[1], world.box[2] - world.box[0]
     span = world.high_px - world.low_px
-    depth_px = span * float(rng.uniform(0.02, 0.55)) ** 1.5
+    depth_px = span * float(rng.uniform(0.02, 0.6)) ** 1.5
     relief = None
     draw = rng.random()
     if draw < 0.25:
@@ -160,10 +161,10 @@ def _wall(world: _World) -> Layer:
         relief = np.asarray(relief * np.float32(rng.uniform(0.1, 0.3) * span), np.float32)
     plane = (0.0, float(rng.normal(0.0, 0.1)) * span / width, float(rng.normal(0.0, 0.2)) * span / height)
     texture = _paint(world, hw=(height, width), weak_share=0.2)
-    # The wall's nearest point is `depth_px` nearer than the least disparity at its farthest.
     layer = Layer(texture, None, world.box[:2], plane, relief)
     low, high = disparity_range_px(layer)
-    return _within_window(world, _shaded(rng, _moved(layer, world.low_px + depth_px - (high - low) / 2 - low)))
+    shift_px = world.low_px + depth_px - (low + high) / 2
+    return _within_window(world, _shaded(rng, _moved(layer, shift_px)))
 
 
 def _floor(world: _World, wall: Layer) -> Layer:
@@ -215,11 +216,13 @@ def _solid(world: _World, ground: Layer | None, *, disparity_px: float) -> list[
         inner = (radii[0] * share, radii[1] * share)
         holes = (shapes.placed(shapes.random_outline(rng), centre_xy=centre, radii_px=inner, angle_rad=angle_rad),)
     relief = None
-    if rng.random() < 0.6:
+    if rng.random() < 0.7:
         u, v = shapes.turned_grid(box=box, centre_xy=centre, angle_rad=angle_rad)
         shape = shapes.RELIEFS[int(rng.integers(len(shapes.RELIEFS)))]
         bulge_px = float(rng.uniform(0.03, 0.14)) * min(radii) * float(rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
-        relief = np.asarray(np.float32(bulge_px) * shape(u / np.float32(radii[0]), v / np.float32(radii[1])), np.float32)
+        relief = np.asarray(
+            np.float32(bulge_px) * shape(u / np.float32(radii[0]), v / np.float32(radii[1])), np.float32
+        )
     hw = (box[3] - box[1], box[2] - box[0])
     plane = _plane_at(centre, disparity_px=disparity_px, slopes=_random_slopes(rng))
     layer = Layer(_paint(world, hw=hw, weak_share=0.2), shapes.filled(outline, box=box, holes=holes), box[:2], plane)
@@ -238,13 +241,11 @@ def _bars(world: _World, *, disparity_px: float) -> list[Layer]:
     length_px = float(rng.uniform(0.3, 1.6)) * max(world.hw)
     half = (length_px / 2, count * spacing_px / 2 + width_px)
     frame = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    box = shapes.box_of(
-        shapes.placed(frame, centre_xy=centre, radii_px=half, angle_rad=angle_rad), limits=world.box
-    )
+    box = shapes.box_of(shapes.placed(frame, centre_xy=centre, radii_px=half, angle_rad=angle_rad), limits=world.box)
     if box is None:
         return []
     curvature = float(rng.normal(0.0, 0.4)) / length_px if rng.random() < 0.4 else 0.0
-    alpha = np.zeros((box[3] - box[1], box[2] - box[0]), np.float32)
+    alpha: FloatMap = np.zeros((box[3] - box[1], box[2] - box[0]), np.float32)
     for number in range(count):
         shift = (number - (count - 1) / 2) * spacing_px
         through = (centre[0] - shift * math.sin(angle_rad), centre[1] + shift * math.cos(angle_rad))
@@ -338,12 +339,12 @@ def _shaded(rng: np.random.Generator, layer: Layer) -> Layer:
     x = np.linspace(-1.0, 1.0, width, dtype=np.float32)[None, :]
     y = np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None]
     falloff = np.float32(rng.uniform(0.0, 0.2))
-    light = 1 + falloff * (np.float32(direction[0]) * x + np.float32(direction[1]) * y)
+    light: FloatMap = 1 + falloff * (np.float32(direction[0]) * x + np.float32(direction[1]) * y)
     if layer.relief_px is not None:
-        slope_x = cv2.Sobel(layer.relief_px, cv2.CV_32F, 1, 0, scale=1 / 8)
-        slope_y = cv2.Sobel(layer.relief_px, cv2.CV_32F, 0, 1, scale=1 / 8)
+        slope_x = np.asarray(cv2.Sobel(layer.relief_px, cv2.CV_32F, 1, 0, scale=1 / 8), np.float32)
+        slope_y = np.asarray(cv2.Sobel(layer.relief_px, cv2.CV_32F, 0, 1, scale=1 / 8), np.float32)
         lean = np.float32(direction[0]) * slope_x + np.float32(direction[1]) * slope_y
-        light = light + np.float32(rng.uniform(0.0, 3.0)) * lean
+        light = np.asarray(light + np.float32(rng.uniform(0.0, 3.0)) * lean, np.float32)
     texture = np.clip(layer.texture * np.clip(light, 0.3, 1.6)[..., None], 0.0, 1.0)
     return Layer(np.asarray(texture, np.float32), layer.alpha, layer.origin_xy, layer.plane_px, layer.relief_px)
 
@@ -354,8 +355,9 @@ def _cast_shadow(rng: np.random.Generator, layer: Layer, behind: list[Layer]) ->
         return
     height, width = layer.alpha.shape
     coarse = cv2.resize(layer.alpha, (max(2, width // 4), max(2, height // 4)), interpolation=cv2.INTER_AREA)
-    coarse = cv2.GaussianBlur(np.pad(coarse, 4), (0, 0), float(rng.uniform(0.8, 2.5)), borderType=cv2.BORDER_CONSTANT)
-    shadow = np.asarray(cv2.resize(coarse, (width + 32, height + 32)), np.float32) * np.float32(rng.uniform(0.1, 0.5))
+    sigma = float(rng.uniform(0.8, 2.5))
+    coarse = cv2.GaussianBlur(np.pad(coarse, 4), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    shadow = np.asarray(cv2.resize(coarse, (width + 32, height + 32)), np.float32) * np.float32(rng.uniform(0.1, 0.4))
     reach = 8.0
     left = layer.origin_xy[0] - 16 + round(rng.uniform(-reach, reach))
     top = layer.origin_xy[1] - 16 + round(rng.uniform(0.0, reach))

@@ -215,4 +215,14 @@ def _pot(rng: np.random.Generator) -> Polygon:
     return np.asarray(np.concatenate([right, left[::-1]]) * 0.95, dtype=np.float64)
 
 
-_OUTLINES: tuple[Callable[[np.random.Generator], Polygon], ...] = (_blob, _blob, _stone, _stone, _box, _box, _disk, _pot)
+_OUTLINES: tuple[Callable[[np.random.Generator], Polygon], ...] = (
+    _blob,
+    _blob,
+    _stone,
+    _stone,
+    _box,
+    _box,
+    _disk,
+    _pot,
+    _pot,
+)

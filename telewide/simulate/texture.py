@@ -25,7 +25,7 @@ def photo_texture(
         rng: source of the draw.
         photo: (H, W, 3) float32, sRGB in [0, 1].
         hw: size of the texture.
-        scale: least and largest enlargement; enlarged more where the photo is too small, up to 1.5 times, then mirrored.
+        scale: least and largest enlargement; more where the photo is too small, up to 1.5 times, then mirrored.
 
     Returns:
         (hw[0], hw[1], 3) float32.
@@ -146,7 +146,7 @@ def _waves(rng: np.random.Generator, hw: tuple[int, int], *, angle_rad: float, p
     y, x = np.ogrid[: hw[0], : hw[1]]
     bend = band_noise(rng, hw=hw, wavelength_px=8 * period_px) * np.float32(rng.uniform(0.0, 1.5))
     rate = 2 * math.pi / period_px
-    phase = (x * (rate * math.cos(angle_rad))).astype(np.float32) + (y * (rate * math.sin(angle_rad))).astype(np.float32)
+    phase = (x * (rate * math.cos(angle_rad)) + y * (rate * math.sin(angle_rad))).astype(np.float32)
     return np.asarray(np.cos(phase + bend), dtype=np.float32)
 
 
