@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+
+from telewide.capture.images import resize_bicubic
 
 FloatImage = NDArray[np.float32]
 
@@ -76,7 +77,7 @@ def degrade(image: FloatImage, degradation: Degradation, *, rng: np.random.Gener
         (H, W, 3) float32, sRGB in [0, 1].
     """
     small = degrade_small(image, degradation, rng=rng)
-    return _clipped(resize_antialiased(small, wh=(image.shape[1], image.shape[0])))
+    return resize_bicubic(small, wh=(image.shape[1], image.shape[0]))
 
 
 def degrade_small(image: FloatImage, degradation: Degradation, *, rng: np.random.Generator) -> FloatImage:
@@ -92,7 +93,7 @@ def degrade_small(image: FloatImage, degradation: Degradation, *, rng: np.random
     """
     moved = _move_vertically(image, offset_px=degradation.vertical_offset_px, slope=degradation.vertical_slope)
     blurred = _blur(moved, sigma_px=degradation.blur_sigma_px, angle_rad=degradation.blur_angle_rad)
-    small = _clipped(resize_antialiased(blurred, wh=_shrunken_wh(image, factor=degradation.factor)))
+    small = resize_bicubic(blurred, wh=_shrunken_wh(image, factor=degradation.factor))
     if degradation.noise_std > 0:
         noise = rng.standard_normal(small.shape, dtype=np.float32)
         small = _clipped(small + np.float32(degradation.noise_std) * noise)
@@ -161,29 +162,8 @@ def shrink_and_enlarge(image: FloatImage, *, factor: float) -> FloatImage:
     """
     if not factor >= 1.0:
         raise ValueError(f"factor is {factor}, expected a number >= 1")
-    small = resize_antialiased(image, wh=_shrunken_wh(image, factor=factor))
-    return _clipped(resize_antialiased(small, wh=(image.shape[1], image.shape[0])))
-
-
-def resize_antialiased(image: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
-    """Resize by the cubic kernel with a = -0.5, widened when shrinking (R. Keys 1981; the same as MATLAB's imresize).
-
-    Args:
-        image: (H, W) or (H, W, C) float32.
-        wh: width and height of the result.
-
-    Returns:
-        (wh[1], wh[0]) or (wh[1], wh[0], C) float32; not clipped.
-    """
-    if (image.shape[1], image.shape[0]) == wh:
-        return image
-    if image.ndim == 2:
-        return np.asarray(Image.fromarray(image).resize(wh, Image.Resampling.BICUBIC), dtype=np.float32)
-    channels = [
-        np.asarray(Image.fromarray(channel).resize(wh, Image.Resampling.BICUBIC), dtype=np.float32)
-        for channel in cv2.split(image)
-    ]
-    return np.asarray(cv2.merge(channels), dtype=np.float32)
+    small = resize_bicubic(image, wh=_shrunken_wh(image, factor=factor))
+    return resize_bicubic(small, wh=(image.shape[1], image.shape[0]))
 
 
 def _shrunken_wh(image: FloatImage, *, factor: float) -> tuple[int, int]:

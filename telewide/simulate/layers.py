@@ -237,9 +237,9 @@ def _layer_in_view(
     y = np.arange(y0, y1, dtype=np.float32)[:, None]
     s_x, s_y = parallax_xy
     a, b, c = layer.plane_px
-    left, top = layer.origin_xy
-    if parallax_xy == (0.0, 0.0) and _holds(layer, box):
-        window = np.s_[y0 - top : y1 - top, x0 - left : x1 - left]
+    x_origin, y_origin = layer.origin_xy
+    if parallax_xy == (0.0, 0.0) and _is_inside_texture(layer, box):
+        window = np.s_[y0 - y_origin : y1 - y_origin, x0 - x_origin : x1 - x_origin]
         disparity_px = np.float32(a) + np.float32(b) * x + np.float32(c) * y
         if layer.relief_px is not None:
             disparity_px = disparity_px + layer.relief_px[window]
@@ -247,8 +247,8 @@ def _layer_in_view(
     scale = 1.0 / (1.0 + b * s_x + c * s_y)
     plane_px: FloatMap = np.float32((a - pivot_px) * scale) + np.float32(b * scale) * x + np.float32(c * scale) * y
     moved_px = plane_px
-    x_texture = x - np.float32(left)
-    y_texture = y - np.float32(top)
+    x_texture = x - np.float32(x_origin)
+    y_texture = y - np.float32(y_origin)
     if layer.relief_px is not None:
         for _ in range(_RELIEF_STEPS):
             relief_px = _sample(
@@ -268,10 +268,10 @@ def _layer_in_view(
     )
 
 
-def _holds(layer: Layer, box: tuple[int, int, int, int]) -> bool:
-    left, top = layer.origin_xy
+def _is_inside_texture(layer: Layer, box: tuple[int, int, int, int]) -> bool:
+    x_origin, y_origin = layer.origin_xy
     height, width = layer.texture.shape[:2]
-    return left <= box[0] and top <= box[1] and box[2] <= left + width and box[3] <= top + height
+    return x_origin <= box[0] and y_origin <= box[1] and box[2] <= x_origin + width and box[3] <= y_origin + height
 
 
 def _sample(values: FloatMap, map_x: FloatMap, map_y: FloatMap) -> FloatMap:

@@ -120,10 +120,10 @@ def _new_world(
     # Most scenes fill the window, some only a part of it.
     share = float(rng.uniform(0.3, 1.0)) ** 0.5
     start = low + float(rng.uniform(0.0, 1.0 - share)) * (high - low)
-    left = math.floor(min(0.0, low)) - _MARGIN_PX
-    right = hw[1] + math.ceil(max(0.0, high)) + _MARGIN_PX
+    x_first = math.floor(min(0.0, low)) - _MARGIN_PX
+    x_end = hw[1] + math.ceil(max(0.0, high)) + _MARGIN_PX
     favourite = photos[int(rng.integers(len(photos)))] if photos else None
-    return _World(rng, hw, (left, 0, right, hw[0]), start, start + share * (high - low), photos, favourite)
+    return _World(rng, hw, (x_first, 0, x_end, hw[0]), start, start + share * (high - low), photos, favourite)
 
 
 def _paint(world: _World, *, hw: tuple[int, int], weak_share: float = 0.15) -> FloatImage:
@@ -359,10 +359,10 @@ def _cast_shadow(rng: np.random.Generator, layer: Layer, behind: list[Layer]) ->
     coarse = cv2.GaussianBlur(np.pad(coarse, 4), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
     shadow = np.asarray(cv2.resize(coarse, (width + 32, height + 32)), np.float32) * np.float32(rng.uniform(0.1, 0.4))
     reach = 8.0
-    left = layer.origin_xy[0] - 16 + round(rng.uniform(-reach, reach))
-    top = layer.origin_xy[1] - 16 + round(rng.uniform(0.0, reach))
+    x_shadow = layer.origin_xy[0] - 16 + round(rng.uniform(-reach, reach))
+    y_shadow = layer.origin_xy[1] - 16 + round(rng.uniform(0.0, reach))
     for surface in behind:
-        x, y = left - surface.origin_xy[0], top - surface.origin_xy[1]
+        x, y = x_shadow - surface.origin_xy[0], y_shadow - surface.origin_xy[1]
         x0, y0 = max(0, x), max(0, y)
         x1, y1 = min(surface.texture.shape[1], x + width + 32), min(surface.texture.shape[0], y + height + 32)
         if x0 < x1 and y0 < y1:

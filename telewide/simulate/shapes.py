@@ -210,9 +210,9 @@ def _pot(rng: np.random.Generator) -> Polygon:
     for harmonic in (1, 2, 3):
         half_width = half_width + rng.normal(0.0, 0.15 / harmonic) * np.cos(harmonic * math.pi * t + rng.uniform(0, 6))
     half_width = np.clip(half_width, 0.1, 0.95)
-    right = np.stack([half_width, t], axis=1)
-    left = np.stack([-half_width, t], axis=1)
-    return np.asarray(np.concatenate([right, left[::-1]]) * 0.95, dtype=np.float64)
+    outline_x = np.concatenate([half_width, -half_width[::-1]])
+    outline_y = np.concatenate([t, t[::-1]])
+    return np.stack([outline_x, outline_y], axis=1) * 0.95
 
 
 _OUTLINES: tuple[Callable[[np.random.Generator], Polygon], ...] = (
