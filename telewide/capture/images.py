@@ -10,9 +10,11 @@ Letters: H W image.
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,6 +23,9 @@ from PIL import Image, ImageCms
 
 from telewide.capture.rundir import replacing
 from telewide.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    import tifffile
 
 FloatImage = NDArray[np.float32]
 Samples = NDArray[np.integer]
@@ -36,6 +41,8 @@ _TAG_ORIENTATION, _TAG_ICC, _TAG_DNG_VERSION = 274, 34675, 50706
 _EXPORT_HINT = "export it as JPEG, PNG or TIFF"
 # A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
 _SRGB_TOLERANCE = 2
+# Four channels of a 178-megapixel photo, which is also where Pillow stops: a larger size is a damaged header.
+_MAX_SAMPLES = 4 * 178_956_970
 _log = logging.getLogger("telewide")
 
 
@@ -250,16 +257,39 @@ def _decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
             raise InputError(f"{path} has values of type {page.dtype}; TIFF with 8 or 16 bits per channel is read")
         if page.dtype != np.uint16:
             return None
-        samples = np.asarray(page.asarray(), dtype=np.uint16)
+        if math.prod(page.shape) > _MAX_SAMPLES:
+            raise ValueError(f"it claims to hold {' x '.join(map(str, page.shape))} values")
+        samples = _page_samples(path, data, page)
         axes, is_negative = page.axes, page.photometric == tifffile.PHOTOMETRIC.MINISWHITE
         orientation = page.tags.valueof(_TAG_ORIENTATION, default=1)
         profile = page.tags.valueof(_TAG_ICC)
-    if axes not in {"YX", "YXS", "SYX"}:
+    if axes not in {"YX", "YXS", "SYX"} or samples.ndim != len(axes) or samples.size == 0:
         raise InputError(f"{path} is a TIFF with the axes {axes}; one photo was expected")
     _warn_unless_srgb(path, profile)
     if axes == "SYX":
         samples = np.moveaxis(samples, 0, -1)
     return (65535 - samples if is_negative else samples), int(orientation)
+
+
+def _page_samples(path: Path, data: bytes, page: tifffile.TiffPage) -> Samples:
+    """Decode one page: by tifffile, or by OpenCV the compressions tifffile needs another package for (LZW)."""
+    try:
+        return np.asarray(page.asarray(), dtype=np.uint16)
+    except ValueError as error:
+        if "imagecodecs" not in str(error):
+            raise
+    # OpenCV fails on turned pictures: it is shown a copy whose orientation says upright.
+    upright = bytearray(data)
+    tag = page.tags.get(_TAG_ORIENTATION)
+    if tag is not None:
+        upright[tag.valueoffset : tag.valueoffset + 2] = (1).to_bytes(2, "big" if data[:2] == b"MM" else "little")
+    stored = cv2.imdecode(np.frombuffer(upright, np.uint8), cv2.IMREAD_UNCHANGED)
+    if stored is None or stored.dtype != np.uint16 or page.axes == "SYX" or page.photometric not in {1, 2}:
+        raise InputError(
+            f"{path} is a 16-bit TIFF whose compression (number {int(page.compression)}) is not read",
+            hint="save it without compression, or as PNG",
+        )
+    return np.asarray(stored if stored.ndim == 2 else stored[..., [2, 1, 0]], dtype=np.uint16)
 
 
 def _srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:

@@ -1,0 +1,86 @@
+"""captures.yaml: what is read and how each mistake is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from telewide.capture.facts import CaptureFacts, read_facts
+from telewide.errors import InputError
+
+
+def _facts(folder: Path, text: str) -> CaptureFacts:
+    path = folder / "captures.yaml"
+    path.write_text(text, encoding="utf-8")
+    return read_facts(path)
+
+
+def test_all_keys_are_read(tmp_path: Path) -> None:
+    text = (
+        "format: 1\nrectified: true\nasymmetry: 3\nreference: wide\nrotated_deg: 90\n"
+        "baseline_m: 0.012\nf_px: 3200.5\ndoffs_px: -12\nnotes: Grüße\n"
+    )
+    expected = CaptureFacts(
+        rectified=True,
+        asymmetry=3.0,
+        reference="wide",
+        rotated_deg=90,
+        baseline_m=0.012,
+        f_px=3200.5,
+        doffs_px=-12.0,
+        notes="Grüße",
+    )
+    assert _facts(tmp_path, text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "\ufeffformat: 1\n"])
+def test_an_empty_file_states_nothing(tmp_path: Path, text: str) -> None:
+    assert _facts(tmp_path, text) == CaptureFacts()
+
+
+def test_a_missing_file_states_nothing(tmp_path: Path) -> None:
+    assert read_facts(tmp_path / "captures.yaml") == CaptureFacts()
+
+
+def test_an_unknown_key_names_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unknown key 'baseline_mm'") as caught:
+        _facts(tmp_path, "baseline_mm: 12\n")
+    assert "did you mean 'baseline_m'?" in (caught.value.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- a\n- b\n", "holds a list"),
+        ("just words\n", "holds a str"),
+        ("a: [1\n", "cannot be read as YAML"),
+        ("rectified: maybe\n", r"rectified is 'maybe'; expected a valid boolean"),
+        ("rectified: 1\n", r"rectified is 1; expected a valid boolean"),
+        ("asymmetry: three\n", r"asymmetry is 'three'; expected a valid number"),
+        ("asymmetry: 0.5\n", r"asymmetry is 0\.5; it is f_tele / f_wide"),
+        ("asymmetry: .nan\n", r"asymmetry is nan; a finite number"),
+        ("reference: left\n", r"reference is 'left'; expected 'tele' or 'wide'"),
+        ("rotated_deg: 45\n", r"rotated_deg is 45; expected 0, 90, 180 or 270"),
+        ("format: 2\n", r"format is 2; expected 1"),
+        ("baseline_m: 12\n", r"baseline_m is 12\.0; metres were expected"),
+        ("baseline_m: 0\n", r"baseline_m is 0\.0; metres"),
+        ("f_px: -1\n", r"f_px is -1\.0; a positive number"),
+        ("notes: 2024-01-01\nf_px: 2024-01-01\n", r"f_px is '2024-01-01'"),
+    ],
+)
+def test_a_wrong_value_is_told_with_the_file_and_what_was_expected(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        _facts(tmp_path, text)
+    assert str(tmp_path / "captures.yaml") in caught.value.message
+
+
+def test_bytes_that_are_no_text(tmp_path: Path) -> None:
+    (tmp_path / "captures.yaml").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(InputError, match="cannot be read as YAML"):
+        read_facts(tmp_path / "captures.yaml")
+
+
+def test_the_values_are_checked_wherever_facts_are_made() -> None:
+    with pytest.raises(ValueError, match="baseline_m"):
+        CaptureFacts(baseline_m=12.0)
