@@ -1,0 +1,268 @@
+"""The layout holds: layers, no cycles, light start, and the house rules of the public functions."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from source import FunctionNode, Module, at, functions, imports, module_from_text, modules, public_functions
+
+# The longest matching prefix counts. Each module imports from its own layer and from lower ones. The same table stands
+# in CONTRIBUTING.md.
+LAYERS = {
+    "errors": 0,
+    "options": 0,
+    "assets": 0,
+    "metrics": 0,
+    "geometry": 0,
+    "capture": 1,
+    "simulate": 1,
+    "calibration": 2,
+    "correction": 3,
+    "matching": 4,
+    "training": 5,
+    "output": 6,
+    "recipe": 7,
+    "pipeline": 7,
+    "benchmark": 7,
+    "cli": 8,
+    "__main__": 8,
+}
+MAX_POSITIONAL = 3
+HEAVY = ("torch", "cv2", "scipy", "pydantic", "colour", "rawpy")
+
+
+def layer(name: str) -> int | None:
+    """Layer of a module below ``telewide``; None for one that is not in the table."""
+    return LAYERS.get(name.split(".")[0])
+
+
+def own_imports(module: Module) -> Iterator[tuple[str, int]]:
+    """Modules of the package that a module imports, anywhere in it, by their names below ``telewide``."""
+    known = {other.name for other in modules()}
+    for name, line in imports(module):
+        if name.startswith("telewide.") and name.removeprefix("telewide.") in known:
+            yield name.removeprefix("telewide."), line
+
+
+def is_torch_allowed(name: str) -> bool:
+    """Whether a module may import torch."""
+    return name.split(".")[0] in {"matching", "training"} and name != "matching.semiglobal"
+
+
+def layer_findings(module: Module) -> list[str]:
+    """Imports that reach into a higher layer."""
+    own = layer(module.name)
+    return [
+        at(module, line, f"layer {own} imports {name} of layer {layer(name)}")
+        for name, line in own_imports(module)
+        if own is None or (layer(name) or 0) > own
+    ]
+
+
+def torch_findings(module: Module) -> list[str]:
+    """Imports of torch where it must not be, also inside functions."""
+    return [
+        at(module, line, f"imports {name}")
+        for name, line in imports(module)
+        if name.split(".")[0] == "torch" and not is_torch_allowed(module.name)
+    ]
+
+
+def keyword_only_findings(module: Module) -> list[str]:
+    """Public functions with more than three positional parameters, or a default that is not keyword-only."""
+    findings = []
+    for name, function, is_method in public_functions(module):
+        positional = [*function.args.posonlyargs, *function.args.args][1 if is_method else 0 :]
+        if len(positional) > MAX_POSITIONAL:
+            findings.append(at(module, function.lineno, f"{name} has {len(positional)} positional parameters"))
+        if function.args.defaults:
+            findings.append(at(module, function.lineno, f"{name} has a default that is not keyword-only"))
+    return findings
+
+
+def docstring_findings(module: Module) -> list[str]:
+    """Public modules, classes and functions without a docstring."""
+    classes = [n for n in module.tree.body if isinstance(n, ast.ClassDef) and not n.name.startswith("_")]
+    documented: list[tuple[str, ast.Module | ast.ClassDef | FunctionNode]] = [
+        ("the module", module.tree),
+        *((node.name, node) for node in classes),
+        *((name, node) for name, node, _ in public_functions(module) if node.name != "__init__"),
+    ]
+    return [
+        at(module, getattr(node, "lineno", 1), f"{name} has no docstring")
+        for name, node in documented
+        if not ast.get_docstring(node)
+    ]
+
+
+def print_findings(module: Module) -> list[str]:
+    """Calls of print."""
+    return [
+        at(module, node.lineno, "print")
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    ]
+
+
+def all_findings(check: Callable[[Module], list[str]]) -> list[str]:
+    """What a check finds in the whole package."""
+    return [finding for module in modules() for finding in check(module)]
+
+
+def test_every_module_has_a_layer() -> None:
+    assert [m.name for m in modules() if m.name and layer(m.name) is None] == []
+
+
+def test_no_module_imports_from_a_higher_layer() -> None:
+    assert all_findings(layer_findings) == []
+    upward = module_from_text("from telewide.matching.volume import x", name="capture.pair")
+    assert layer_findings(upward) != []
+
+
+def test_no_import_cycle() -> None:
+    graph = {module.name: {name for name, _ in own_imports(module)} - {module.name} for module in modules()}
+    while graph:
+        leaves = {name for name, needs in graph.items() if not needs & graph.keys()}
+        assert leaves, f"these import one another: {sorted(graph)}"
+        graph = {name: needs for name, needs in graph.items() if name not in leaves}
+
+
+def test_nobody_imports_the_top_package() -> None:
+    def findings(module: Module) -> list[str]:
+        return [
+            at(module, line, "imports the top package")
+            for name, line in imports(module)
+            if (name == "telewide" and not _takes_only_the_version(module, line)) or name.startswith(".")
+        ]
+
+    assert all_findings(findings) == []
+    assert findings(module_from_text("import telewide")) != []
+    assert findings(module_from_text("from telewide import metrics")) != []
+    assert findings(module_from_text("from telewide import __version__")) == []
+
+
+def _takes_only_the_version(module: Module, line: int) -> bool:
+    return any(
+        isinstance(node, ast.ImportFrom) and node.lineno == line and [a.name for a in node.names] == ["__version__"]
+        for node in ast.walk(module.tree)
+    )
+
+
+def test_package_inits_hold_a_docstring_only() -> None:
+    assert all_findings(
+        lambda m: [at(m, 1, "holds code") for _ in m.tree.body[1:] if m.name and m.path.name == "__init__.py"]
+    ) == []
+
+
+def test_torch_only_in_matching_and_training() -> None:
+    assert all_findings(torch_findings) == []
+    assert torch_findings(module_from_text("def f():\n    import torch.nn", name="output.bokeh")) != []
+    assert torch_findings(module_from_text("import torch", name="matching.semiglobal")) != []
+
+
+def test_colour_science_only_in_correction_colour() -> None:
+    assert all_findings(
+        lambda m: [at(m, n, x) for x, n in imports(m) if x.split(".")[0] == "colour" and m.name != "correction.colour"]
+    ) == []
+
+
+def test_everything_but_networks_loads_without_torch() -> None:
+    names = [m.name for m in modules() if m.name not in {"", "__main__"}]
+    light = [f"telewide.{name}" for name in names if not is_torch_allowed(name)]
+    loaded = modules_loaded_by(f"import importlib\nfor name in {light!r}: importlib.import_module(name)")
+    assert "telewide.metrics" in loaded
+    assert "torch" not in loaded
+
+
+def test_help_starts_light() -> None:
+    loaded = modules_loaded_by(
+        "import sys\n"
+        "sys.argv = ['telewide', '--help']\n"
+        "from telewide.cli import main\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code, end.code\n"
+    )
+    assert "telewide.cli" in loaded
+    assert [name for name in HEAVY if name in loaded] == []
+
+
+def modules_loaded_by(script: str) -> set[str]:
+    """Names in ``sys.modules`` after a fresh interpreter ran a script."""
+    report = "\nimport json, sys\nsys.stderr.write('LOADED' + json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script + report], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stderr.rpartition("LOADED")[2]))
+
+
+def test_no_print() -> None:
+    assert all_findings(print_findings) == []
+    assert print_findings(module_from_text("def f():\n    print(1)")) != []
+
+
+def test_options_are_keyword_only() -> None:
+    # The commands in cli take their parameters from typer, by name in any case.
+    assert [f for m in modules() if m.name != "cli" for f in keyword_only_findings(m)] == []
+    assert keyword_only_findings(module_from_text("def f(a, b=1): ...")) != []
+    assert keyword_only_findings(module_from_text("def f(a, b, c, d): ...")) != []
+    assert keyword_only_findings(module_from_text("class A:\n    def f(self, a, b, c, *, d=1): ...")) == []
+
+
+def test_public_names_have_docstrings() -> None:
+    assert all_findings(docstring_findings) == []
+    assert len(docstring_findings(module_from_text("class A:\n    def f(self): ...\ndef g(): ...\ndef _h(): ..."))) == 4
+
+
+def test_signatures_are_typed_without_any() -> None:
+    def findings(module: Module) -> list[str]:
+        return [
+            at(module, function.lineno, f"{name} says Any")
+            for name, function, _ in public_functions(module)
+            if any(isinstance(n, ast.Name) and n.id == "Any" for a in _annotations(function) for n in ast.walk(a))
+        ]
+
+    assert all_findings(findings) == []
+    assert findings(module_from_text("def f(a: dict[str, Any]) -> int: ...")) != []
+
+
+def _annotations(function: FunctionNode) -> list[ast.expr]:
+    arguments = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    found = [a.annotation for a in arguments] + [function.returns]
+    return [annotation for annotation in found if annotation is not None]
+
+
+def test_no_assert_and_no_bare_except_in_the_package() -> None:
+    assert all_findings(
+        lambda m: [
+            at(m, n.lineno, "assert or bare except")
+            for n in ast.walk(m.tree)
+            if isinstance(n, ast.Assert) or (isinstance(n, ast.ExceptHandler) and n.type is None)
+        ]
+    ) == []
+
+
+@pytest.mark.parametrize("word", ["utils", "common", "helpers", "misc"])
+def test_no_attic(word: str) -> None:
+    assert [m.name for m in modules() if word in m.name.split(".")] == []
+
+
+def test_no_function_is_hard_to_read_in_one_go() -> None:
+    assert all_findings(
+        lambda m: [
+            at(m, f.lineno, f"{f.name} has {f.end_lineno - f.lineno + 1} lines")
+            for f in functions(m)
+            if f.end_lineno is not None and f.end_lineno - f.lineno >= 80
+        ]
+    ) == []
+
+
+def test_the_layer_table_of_contributing_is_this_one(repo: Path) -> None:
+    text = (repo / "CONTRIBUTING.md").read_text()
+    for number in sorted(set(LAYERS.values())):
+        row = next(line for line in text.splitlines() if line.startswith(f"| L{number} |"))
+        for name in (name for name, own in LAYERS.items() if own == number and name != "__main__"):
+            assert f"`{name}" in row, f"{name} is missing from the row of L{number}"
