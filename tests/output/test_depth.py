@@ -1,0 +1,44 @@
+"""What may be said of a depth: metres only where focal length and baseline are both known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from telewide.capture.facts import CaptureFacts
+from telewide.geometry.stereo import DisparityMap
+from telewide.output.depth import depth_result
+
+
+@pytest.fixture
+def disparity() -> DisparityMap:
+    """A small map with an unknown corner."""
+    disparity_px = np.linspace(5, 40, 12 * 18, dtype=np.float32).reshape(12, 18)
+    disparity_px[0, 0] = np.nan
+    return DisparityMap(disparity_px, np.full((12, 18), 0.7, np.float32), np.isfinite(disparity_px))
+
+
+def test_nothing_is_invented_without_facts(disparity: DisparityMap) -> None:
+    result = depth_result("a", disparity)
+    assert (result.K, result.baseline_m, result.depth_m) == (None, None, None)
+
+
+@pytest.mark.parametrize("facts", [CaptureFacts(f_px=900.0), CaptureFacts(baseline_m=0.01)])
+def test_half_of_the_scale_gives_no_metres(disparity: DisparityMap, facts: CaptureFacts) -> None:
+    assert depth_result("a", disparity, facts=facts).depth_m is None
+
+
+def test_depth_is_focal_length_times_baseline_over_shifted_disparity(disparity: DisparityMap) -> None:
+    result = depth_result("a", disparity, facts=CaptureFacts(f_px=900.0, baseline_m=0.012, doffs_px=3.0))
+    assert result.depth_m is not None
+    known = disparity.valid
+    expected_m = 900.0 * 0.012 / (disparity.disparity_px[known].astype(np.float64) + 3.0)
+    np.testing.assert_allclose(result.depth_m[known], expected_m, rtol=1e-6)
+    assert np.isnan(result.depth_m[0, 0])
+
+
+def test_principal_point_is_the_centre_of_the_pixel_grid(disparity: DisparityMap) -> None:
+    result = depth_result("a", disparity, facts=CaptureFacts(f_px=900.0))
+    assert result.K is not None
+    # The centre of a map whose first pixel centre is (0, 0) maps onto itself when the map is mirrored.
+    np.testing.assert_allclose(result.K, [[900, 0, 17 - result.K[0, 2]], [0, 900, 11 - result.K[1, 2]], [0, 0, 1]])
