@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 FloatImage = NDArray[np.float32]
 FloatMap = NDArray[np.float32]
+Colour = NDArray[np.float32]
 
 
 def photo_texture(
@@ -68,18 +69,21 @@ def weak_texture(rng: np.random.Generator, photo: FloatImage | None, *, hw: tupl
     return _clipped(texture)
 
 
-def drawn_texture(rng: np.random.Generator, *, hw: tuple[int, int]) -> FloatImage:
-    """Draw a pattern: clouds, stripes, checks, dots or speckle, in two or three colours.
+def drawn_texture(
+    rng: np.random.Generator, *, hw: tuple[int, int], colours: tuple[Colour, Colour] | None = None
+) -> FloatImage:
+    """Draw a pattern of two colours: clouds, stripes, checks, dots or speckle.
 
     Args:
         rng: source of the draw.
         hw: size of the texture.
+        colours: two (3,) sRGB colours; None draws them as well.
 
     Returns:
         (hw[0], hw[1], 3) float32.
     """
     pattern = _PATTERNS[int(rng.integers(len(_PATTERNS)))](rng, hw)
-    dark, light = _two_colours(rng)
+    dark, light = _two_colours(rng) if colours is None else colours
     texture = dark + (light - dark) * pattern[..., None]
     grain = band_noise(rng, hw=hw, wavelength_px=float(rng.uniform(2.5, 6.0)))
     cloud = band_noise(rng, hw=hw, wavelength_px=float(rng.uniform(20.0, 80.0)))
@@ -200,7 +204,7 @@ _PATTERNS: tuple[Callable[[np.random.Generator, tuple[int, int]], FloatMap], ...
 )
 
 
-def _two_colours(rng: np.random.Generator) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _two_colours(rng: np.random.Generator) -> tuple[Colour, Colour]:
     """Two colours of one family or of two, apart in brightness."""
     base = rng.uniform(0.1, 0.9, 3)
     other = base + rng.normal(0.0, 0.25, 3) + rng.choice([-1.0, 1.0]) * rng.uniform(0.12, 0.45)

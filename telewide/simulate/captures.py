@@ -1,0 +1,144 @@
+"""Capture folders of worlds whose disparity is known: what a phone with two cameras would have written.
+
+Each capture is a still life photographed by a sharp camera (tele) and by a worse one beside it (wide: fewer pixels, a
+little blur and noise, another tint, content a little lower). ``truth.pfm`` holds the exact disparity of tele.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.capture.facts import FACTS_FILE
+from telewide.capture.images import write_image, write_pfm
+from telewide.capture.rundir import write_text
+from telewide.errors import UsageError
+from telewide.simulate.degrade import Degradation, degrade_small
+from telewide.simulate.layers import render_pair
+from telewide.simulate.scene import random_scene
+from telewide.simulate.still_life import still_life
+
+FloatImage = NDArray[np.float32]
+FloatMap = NDArray[np.float32]
+
+SCENES = ("still-life", "random")
+"""What can be photographed: arranged pictures, or strewn shapes as the networks are taught on."""
+
+_SUPERSAMPLING = 2
+_LARGEST_STEP_PX = 1.0
+"""Samples of one surface differ by less than this within a block of 2x2."""
+
+_MAX_FACTOR = 16.0
+_MIN_WIDE_PX = 32
+"""The shortest side of a picture that readers of captures accept."""
+
+
+def write_captures(
+    folder: Path,
+    *,
+    count: int,
+    seed: int = 0,
+    hw: tuple[int, int] = (256, 384),
+    factor: float = 3.0,
+    disparity_window_px: tuple[float, float] | None = None,
+    scene: str = "still-life",
+    image_format: str = "png",
+    truth_count: int | None = None,
+) -> tuple[Path, ...]:
+    """Write simulated captures with their truth.
+
+    Args:
+        folder: made when it is not there; captures of the same names are replaced.
+        count: number of captures, >= 1.
+        seed: the same seed writes the same pictures.
+        hw: height and width of tele.
+        factor: how many times fewer pixels wide has along each axis, >= 1.
+        disparity_window_px: bounds of the disparity; None takes 1 to 12 % of the width.
+        scene: one of `SCENES`.
+        image_format: "png" or "jpg".
+        truth_count: how many of the captures get a ``truth.pfm``, the first ones; None means all.
+
+    Returns:
+        The capture folders.
+
+    Raises:
+        UsageError: a number out of range or an unknown name, with what was expected.
+        TelewideError: the folder cannot be written.
+    """
+    _check(count=count, hw=hw, factor=factor, scene=scene, image_format=image_format)
+    window_px = disparity_window_px or (0.01 * hw[1], 0.12 * hw[1])
+    if not window_px[0] < window_px[1]:
+        raise UsageError(f"the disparity window is {window_px}; a lower and a higher bound were expected")
+    written: list[Path] = []
+    for number, child in enumerate(np.random.SeedSequence(seed).spawn(count)):
+        rng = np.random.default_rng(child)
+        ref, src, disparity_px = _photographed(rng, hw=hw, window_px=window_px, scene=scene)
+        wide = degrade_small(src, _phone_damage(rng, hw=hw, factor=factor), rng=rng)
+        capture = folder / f"{number:03d}"
+        write_image(capture / f"tele.{image_format}", ref, quality=95)
+        write_image(capture / f"wide.{image_format}", wide, quality=95)
+        if truth_count is None or number < truth_count:
+            write_pfm(capture / "truth.pfm", disparity_px)
+        written.append(capture)
+    facts = f"format: 1\nrectified: true\nasymmetry: {float(factor)}\nreference: tele\nnotes: simulated, seed {seed}\n"
+    write_text(folder / FACTS_FILE, facts)
+    return tuple(written)
+
+
+def _check(*, count: int, hw: tuple[int, int], factor: float, scene: str, image_format: str) -> None:
+    if count < 1:
+        raise UsageError(f"the number of captures is {count}; 1 or more was expected")
+    if not 1.0 <= factor <= _MAX_FACTOR:
+        raise UsageError(f"the factor is {factor}; a number from 1 to {_MAX_FACTOR:g} was expected")
+    least = math.ceil(_MIN_WIDE_PX * factor)
+    if min(hw) < least:
+        raise UsageError(f"the size is {hw[1]}x{hw[0]}; with a factor of {factor:g} both must be {least} or more")
+    if scene not in SCENES:
+        raise UsageError(f"no scene is called {scene!r}", hint=f"known scenes: {', '.join(SCENES)}")
+    if image_format not in ("png", "jpg"):
+        raise UsageError(f"pictures cannot be written as {image_format!r}", hint="png or jpg")
+
+
+def _photographed(
+    rng: np.random.Generator, *, hw: tuple[int, int], window_px: tuple[float, float], scene: str
+) -> tuple[FloatImage, FloatImage, FloatMap]:
+    """Render at twice the size and average, as the pixels of a sensor do: ref, src and the disparity of ref."""
+    fine_hw = (hw[0] * _SUPERSAMPLING, hw[1] * _SUPERSAMPLING)
+    fine_window = (window_px[0] * _SUPERSAMPLING, window_px[1] * _SUPERSAMPLING)
+    if scene == "still-life":
+        world = still_life(rng, hw=fine_hw, disparity_window_px=fine_window)
+    else:
+        world = random_scene(rng, hw=fine_hw, disparity_window_px=fine_window)
+    fine = render_pair(world)
+    wh = (hw[1], hw[0])
+    ref = np.asarray(cv2.resize(fine.ref, wh, interpolation=cv2.INTER_AREA), np.float32)
+    src = np.asarray(cv2.resize(fine.src, wh, interpolation=cv2.INTER_AREA), np.float32)
+    return ref, src, _of_one_surface(fine.disparity_px)
+
+
+def _of_one_surface(fine_px: FloatMap) -> FloatMap:
+    """Disparity of each block of 2x2 samples: their mean on one surface, else the surface that covers half of it."""
+    height, width = fine_px.shape
+    blocks = fine_px.reshape(height // 2, 2, width // 2, 2).transpose(0, 2, 1, 3).reshape(height // 2, width // 2, 4)
+    ordered = np.sort(blocks, axis=2)
+    is_one = ordered[..., 3] - ordered[..., 0] < _LARGEST_STEP_PX
+    return np.asarray(np.where(is_one, blocks.mean(axis=2), ordered[..., 2]) / _SUPERSAMPLING, np.float32)
+
+
+def _phone_damage(rng: np.random.Generator, *, hw: tuple[int, int], factor: float) -> Degradation:
+    """Draw what was measured to remain in rectified pairs of a phone: tint, rows, a soft and noisy wide lens."""
+    gain = np.exp(rng.normal(0.0, 0.04) + rng.normal(0.0, 0.05, 3))
+    return Degradation(
+        factor=factor,
+        blur_sigma_px=(0.25 * factor, 0.2 * factor),
+        blur_angle_rad=float(rng.uniform(0.0, math.pi)),
+        jpeg_quality=None,
+        noise_std=0.006,
+        gain=(float(gain[0]), float(gain[1]), float(gain[2])),
+        vertical_offset_px=float(rng.uniform(-0.0025, 0.0025)) * hw[0],
+        vertical_slope=float(rng.normal(0.0, 0.0015)),
+    )
