@@ -166,7 +166,7 @@ def render_lens(scene: LayeredScene, *, focus_disparity_px: float, strength: flo
         radius = strength * math.sqrt((number + 0.5) / samples)
         angle_rad = number * golden_angle_rad
         point = (radius * math.cos(angle_rad), radius * math.sin(angle_rad))
-        total += np.clip(render_view(linear, parallax_xy=point, pivot_px=focus_disparity_px).image, 0.0, None)
+        total += render_view(linear, parallax_xy=point, pivot_px=focus_disparity_px).image
     return srgb_from_linear((total / samples).astype(np.float32))
 
 

@@ -18,6 +18,7 @@ Polygon = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 _SUBPIXEL_BITS = 4
+_SUPERSAMPLING = 4
 
 
 def random_outline(rng: np.random.Generator) -> Polygon:
@@ -98,11 +99,14 @@ def filled(polygon: Polygon, *, box: Box, holes: tuple[Polygon, ...] = ()) -> Fl
     Returns:
         (h, w) float32 coverage in [0, 1].
     """
-    canvas = np.zeros((box[3] - box[1], box[2] - box[0]), np.uint8)
+    wh = (box[2] - box[0], box[3] - box[1])
+    canvas = np.zeros((_SUPERSAMPLING * wh[1], _SUPERSAMPLING * wh[0]), np.uint8)
     for shape, value in ((polygon, 255), *((hole, 0) for hole in holes)):
-        points = np.rint((shape - np.array(box[:2])) * 2**_SUBPIXEL_BITS).astype(np.int32)
-        cv2.fillPoly(canvas, [points], value, lineType=cv2.LINE_AA, shift=_SUBPIXEL_BITS)
-    return np.asarray(canvas, dtype=np.float32) / np.float32(255.0)
+        fine = (shape - np.array(box[:2]) + 0.5) * _SUPERSAMPLING - 0.5
+        points = np.rint(fine * 2**_SUBPIXEL_BITS).astype(np.int32)
+        cv2.fillPoly(canvas, [points], value, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+    coverage = cv2.resize(canvas, wh, interpolation=cv2.INTER_AREA)
+    return np.asarray(coverage, dtype=np.float32) / np.float32(255.0)
 
 
 def bar(
