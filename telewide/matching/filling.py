@@ -1,0 +1,90 @@
+"""Disparity where none was measured, and maps whose edges follow the picture.
+
+Holes of a disparity map are mostly what src does not see: the background beside a nearer object. So a hole takes the
+lower of the two surfaces that end at it, never a mean of both. A weighted median then moves edges to where the picture
+has them, and takes no value from between two surfaces either. NaN means unknown.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.geometry.stereo import FloatMap
+
+_RADIUS_PX = 13
+_EDGE_VARIANCE = 20.0  # colour variance, of 255 levels squared, above which the picture counts as having an edge
+
+
+def fill_background(
+    disparity_px: FloatMap, guide_rgb: FloatMap, *, radius_px: int = _RADIUS_PX, edge_variance: float = _EDGE_VARIANCE
+) -> FloatMap:
+    """Fill the holes of a disparity map from the surface behind; known values stay as they are.
+
+    Args:
+        disparity_px: (H, W) float32, px; NaN where unknown.
+        guide_rgb: (H, W, 3) float32, sRGB in [0, 1]: the view the map is for.
+        radius_px: radius of the weighted median that evens the filled rows, px.
+        edge_variance: see :func:`weighted_median`.
+
+    Returns:
+        (H, W) float32, px, without NaN; zero everywhere if nothing was known.
+    """
+    filled_px = fill_rows(disparity_px)
+    evened_px = weighted_median(filled_px, guide_rgb, radius_px=radius_px, edge_variance=edge_variance)
+    return np.where(np.isfinite(disparity_px), filled_px, evened_px).astype(np.float32)
+
+
+def fill_rows(disparity_px: FloatMap) -> FloatMap:
+    """Fill each hole with the smaller of the known values to its left and right.
+
+    Args:
+        disparity_px: (H, W) float32, px; NaN where unknown.
+
+    Returns:
+        (H, W) float32, px, without NaN: an empty row takes the nearest one's values, an empty map is zero.
+    """
+    beside_px = np.fmin(_last_known(disparity_px), _last_known(disparity_px[:, ::-1])[:, ::-1])
+    above_px, below_px = _last_known(beside_px.T).T, _last_known(beside_px[::-1].T).T[::-1]
+    return np.nan_to_num(np.where(np.isfinite(above_px), above_px, below_px)).astype(np.float32)
+
+
+def weighted_median(
+    disparity_px: FloatMap, guide_rgb: FloatMap, *, radius_px: int = _RADIUS_PX, edge_variance: float = _EDGE_VARIANCE
+) -> FloatMap:
+    """Take the median over each pixel's surroundings, weighted by likeness in the guide.
+
+    The weights are those of the guided filter: the share of values below each whole level is filtered, and the median
+    is where it passes one half, linear within a level. Where two surfaces meet it is a value of one of them.
+    Source: Z. Ma, K. He, Y. Wei, J. Sun, E. Wu, "Constant Time Weighted Median Filtering for Stereo Matching and
+    Beyond", ICCV 2013.
+
+    Args:
+        disparity_px: (H, W) float32, px, without NaN.
+        guide_rgb: (H, W, 3) float32, sRGB in [0, 1]: the view the map is for.
+        radius_px: radius of the surroundings, px.
+        edge_variance: variance of the guide, of 255 levels squared, above which an edge is kept.
+
+    Returns:
+        (H, W) float32, px.
+    """
+    guide = np.ascontiguousarray(np.clip(guide_rgb * 255 + 0.5, 0, 255).astype(np.uint8))
+    smooth = cv2.ximgproc.createGuidedFilter(guide, radius_px, edge_variance)
+    median_px = np.full(disparity_px.shape, np.nan, dtype=np.float32)
+    share_before: NDArray[np.float32] = np.zeros(disparity_px.shape, dtype=np.float32)
+    for level in range(int(np.floor(disparity_px.min())), int(np.ceil(disparity_px.max())) + 1):
+        is_below = (disparity_px <= level + 0.5).astype(np.float32)
+        share = np.maximum(smooth.filter(is_below), share_before)
+        crossing = np.isnan(median_px) & (share >= 0.5)
+        rise = share[crossing] - share_before[crossing]
+        median_px[crossing] = level - 0.5 + (0.5 - share_before[crossing]) / rise
+        share_before = share
+    return np.where(np.isnan(median_px), disparity_px, median_px).astype(np.float32)
+
+
+def _last_known(values: FloatMap) -> FloatMap:
+    """Each pixel's nearest known value at it or to its left in the row; NaN where there is none."""
+    index = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(index, axis=1), axis=1))
