@@ -254,7 +254,15 @@ def _align(ref_HW: FloatImage, src_HW: FloatImage, matches: Matches) -> Matches:
     values, _ = _normalised(_sample(src_HW, moved, offsets), weight)
     fits = np.einsum("nk,nk,k->n", template, values, weight) >= _MIN_CORRELATION
     stays = np.abs(moved - matches.src_px).max(axis=1) <= _MAX_MOVE_PX
-    return Matches(matches.ref_px, moved).select(fits & stays)
+    aligned = Matches(matches.ref_px, moved)
+    return aligned.select(fits & stays & _is_whole(aligned.ref_px, ref_HW) & _is_whole(moved, src_HW))
+
+
+def _is_whole(centre_px: Points, image_HW: FloatImage) -> Flags:
+    """Whether all but the rim of the patches lies inside the image: beyond it pixels are made up."""
+    margin = _PATCH_RADIUS_PX // 2
+    last = np.array([image_HW.shape[1] - 1 - margin, image_HW.shape[0] - 1 - margin])
+    return np.asarray(((centre_px >= margin) & (centre_px <= last)).all(axis=1))
 
 
 def _sample(image_HW: FloatImage, centre_px: Points, offsets: NDArray[np.float32]) -> NDArray[np.float64]:
