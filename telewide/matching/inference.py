@@ -1,0 +1,181 @@
+"""A trained network as a matcher: any image size, confidence, occlusion, tiles where memory asks for them.
+
+Letters: B batch, C channels, H W image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from telewide.errors import MissingPartError
+from telewide.geometry.stereo import DisparityMap
+from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, standardise
+from telewide.matching.sampling import pad_to_multiple, warp_to_ref
+from telewide.matching.volume import (
+    VOLUME_STEP_PX,
+    Window,
+    check_window,
+    expect_disparity_at_mode,
+    peak_share,
+    shear_to_src,
+)
+
+FloatImage = NDArray[np.float32]
+
+CONTEXT_PX = 192
+"""Border a tile is given on each side beyond the disparities' reach, and whose result is thrown away."""
+MAX_TILE_PIXELS = 2_500_000
+AGREEMENT_PX = 3.0
+"""Difference of the two views' disparities at which agreement has fallen to nothing."""
+
+
+def choose_device(name: str) -> torch.device:
+    """Resolve ``auto``, ``cpu`` or ``cuda``.
+
+    Raises:
+        MissingPartError: cuda was asked for and is not there.
+    """
+    has_cuda = torch.cuda.is_available()
+    if name == "cuda" and not has_cuda:
+        raise MissingPartError("no CUDA device was found", hint="use --device auto or --device cpu")
+    return torch.device("cuda" if has_cuda and name != "cpu" else "cpu")
+
+
+def low_precision(device: torch.device) -> AbstractContextManager[object]:
+    """Autocast to bf16 where the device computes in it, and do nothing elsewhere."""
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_fast_bf16(device))
+
+
+def has_fast_bf16(device: torch.device) -> bool:
+    """Whether convolutions in bf16 are faster than in float32 on this device."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported()
+    capability = torch.cpu.get_capabilities() if hasattr(torch.cpu, "get_capabilities") else {}
+    return bool(capability.get("avx512_bf16") or capability.get("amx_bf16") or capability.get("arm_bf16"))
+
+
+@torch.inference_mode()
+def match_with_network(
+    ref: FloatImage,
+    src: FloatImage,
+    *,
+    network: StereoNetwork,
+    window: Window,
+    max_tile_pixels: int = MAX_TILE_PIXELS,
+) -> DisparityMap:
+    """Match two views with a trained network, on the device its weights are on.
+
+    Args:
+        ref: (H, W, 3) sharp view, [0, 1].
+        src: (H, W, 3) other view of the same size.
+        network: trained; put into eval mode.
+        window: disparities ``[d_min, d_max)``, px.
+        max_tile_pixels: larger images are computed in overlapping tiles of about this size.
+
+    Returns:
+        Disparity everywhere (continued into what src does not see), confidence, and where both views agree.
+
+    Raises:
+        ValueError: the views differ in size, or the window does not fit the volume.
+    """
+    if ref.shape != src.shape or ref.ndim != 3:
+        raise ValueError(f"ref {ref.shape} and src {src.shape} must be (H, W, 3) of one size")
+    check_window(window)
+    network.eval()
+    device = next(network.parameters()).device
+    # Over the whole image, so that a tile is seen with the brightness the image has.
+    ref_BCHW, src_BCHW = (standardise(_tensor_from_image(view).to(device)) for view in (ref, src))
+    disparity_px = np.empty(ref.shape[:2], np.float32)
+    confidence, agrees = np.empty_like(disparity_px), np.empty(ref.shape[:2], np.bool_)
+    for tile in _tiles(ref.shape[:2], window=window, max_pixels=max_tile_pixels):
+        maps = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
+        for whole, part in zip((disparity_px, confidence, agrees), maps, strict=True):
+            whole[tile.inner] = part[tile.inner_of_outer].cpu().numpy()
+    return DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px))
+
+
+def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window) -> tuple[Tensor, Tensor, Tensor]:
+    """(H, W) disparity, confidence and agreement of one tile."""
+    height, width = ref.shape[-2:]
+    ref, src = (pad_to_multiple(view, multiple=4 * SIZE_MULTIPLE_PX) for view in (ref, src))
+    with low_precision(ref.device):
+        output = network(ref, src, window)
+    disparity_px = output.disparity_px.float()
+    src_px = expect_disparity_at_mode(shear_to_src(output.logits_BDHW, window=window), window=window)
+    seen_px = warp_to_ref(_enlarge(src_px, mode="nearest"), disparity_px)[:, 0]
+    gap_px = (disparity_px - seen_px).abs()
+    sharpness = _enlarge(peak_share(output.logits_BDHW), mode="bilinear")[:, 0]
+    confidence = sharpness * (1 - gap_px / AGREEMENT_PX).clamp(min=0)
+    maps = (disparity_px, confidence, gap_px < AGREEMENT_PX)
+    return tuple(m[0, :height, :width] for m in maps)  # type: ignore[return-value]
+
+
+def _enlarge(map_Bhw: Tensor, *, mode: str) -> Tensor:
+    align = None if mode == "nearest" else False
+    return functional.interpolate(map_Bhw[:, None], scale_factor=VOLUME_STEP_PX, mode=mode, align_corners=align)
+
+
+def _falls_inside(disparity_px: FloatImage) -> NDArray[np.bool_]:
+    width = disparity_px.shape[1]
+    x_src_px = np.arange(width, dtype=np.float32) - disparity_px
+    return np.asarray((x_src_px >= 0) & (x_src_px <= width - 1))
+
+
+def _tensor_from_image(image: FloatImage) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None]
+
+
+@dataclass(frozen=True)
+class _Tile:
+    """Where a tile's result goes, and the larger part of the image it is computed from."""
+
+    y: tuple[int, int]
+    x: tuple[int, int]
+    outer_y: tuple[int, int]
+    outer_x: tuple[int, int]
+
+    @property
+    def inner(self) -> tuple[slice, slice]:
+        return slice(*self.y), slice(*self.x)
+
+    @property
+    def outer_slices(self) -> tuple[slice, slice, slice, slice]:
+        return slice(None), slice(None), slice(*self.outer_y), slice(*self.outer_x)
+
+    @property
+    def inner_of_outer(self) -> tuple[slice, slice]:
+        (y, x), (top, left) = (self.y, self.x), (self.outer_y[0], self.outer_x[0])
+        return slice(y[0] - top, y[1] - top), slice(x[0] - left, x[1] - left)
+
+
+def _tiles(hw: tuple[int, ...], *, window: Window, max_pixels: int) -> Iterator[_Tile]:
+    """Cut an image so that every tile, border included, has about ``max_pixels``; one tile if it fits."""
+    if hw[0] * hw[1] <= max_pixels:
+        yield _Tile((0, hw[0]), (0, hw[1]), (0, hw[0]), (0, hw[1]))
+        return
+    before_x, after_x = CONTEXT_PX + max(window[1], 0), CONTEXT_PX + max(-window[0], 0)
+    side = max(256, int(max_pixels**0.5))
+    rows = _spans(hw[0], side - 2 * CONTEXT_PX, before=CONTEXT_PX, after=CONTEXT_PX)
+    for y, outer_y in rows:
+        for x, outer_x in _spans(hw[1], side - before_x - after_x, before=before_x, after=after_x):
+            yield _Tile(y, x, outer_y, outer_x)
+
+
+def _spans(length: int, step: int, *, before: int, after: int) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+    """(inner, outer) spans along one side; outer ends lie on the network's grid, as the whole image's would."""
+    grid = SIZE_MULTIPLE_PX
+    step = max(grid * 8, step // grid * grid)
+    spans = []
+    for start in range(0, length, step):
+        end = min(start + step, length)
+        outer = (max(0, (start - before) // grid * grid), min(length, -(-(end + after) // grid) * grid))
+        spans.append(((start, end), outer))
+    return spans

@@ -1,0 +1,166 @@
+"""`lite`: the default network, made for two cores and for phones' photos.
+
+    image ─ features (1/4, guide at 1/2) ─┬─ unit-length group correlation ─┐
+                                          └─ thin concatenation ────────────┴─ hourglass ─ mode expectation (1/4)
+    ─ convex upsampling (1/2) ─ one refinement against the warped guide ─ convex upsampling (1/1)
+
+There is no normalisation layer: a network this shallow trains without, each convolution costs half, a tile sees what
+the whole image would, and gradients do not depend on how a batch is split. Residual branches start at zero.
+Letters: B batch, C channels, G groups, D planes, H W grid at hand.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from telewide.matching.sampling import upsample_convex, warp_to_ref
+from telewide.matching.volume import (
+    VOLUME_STEP_PX,
+    Window,
+    concatenate_views,
+    correlate_groups,
+    expect_disparity_at_mode,
+)
+
+GUIDE_CHANNELS = 16
+MATCH_CHANNELS = 48
+CORRELATION_GROUPS = 8
+THIN_CHANNELS = 6
+VOLUME_CHANNELS = 16
+REFINE_CHANNELS = 32  # a multiple of 16: oneDNN's bf16 kernels write out of bounds at 24 with dilation 3 and more
+DISPARITY_SCALE_PX = 16.0
+"""Disparities enter the refinement as fractions of this, so that they have the size of the features."""
+
+
+def _conv2d(c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> nn.Conv2d:
+    return nn.Conv2d(c_in, c_out, 3, stride=stride, padding=dilation, dilation=dilation)
+
+
+def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Conv3d:
+    return nn.Conv3d(c_in, c_out, 3, stride=stride, padding=1)
+
+
+class _Residual2d(nn.Module):
+    def __init__(self, channels: int, *, dilation: int = 1) -> None:
+        super().__init__()
+        self.first = _conv2d(channels, channels, dilation=dilation)
+        self.last = _conv2d(channels, channels, dilation=dilation)
+        nn.init.zeros_(self.last.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.last(functional.relu(self.first(x))))
+
+
+class LiteFeatures(nn.Module):
+    """Phi_F: a standardised view to (matching features at 1/4, guide at 1/2)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = nn.Sequential(_conv2d(3, GUIDE_CHANNELS, stride=2), nn.ReLU(), _Residual2d(GUIDE_CHANNELS))
+        self.quarter = nn.Sequential(
+            _conv2d(GUIDE_CHANNELS, 32, stride=2), nn.ReLU(), _Residual2d(32), _Residual2d(32)
+        )
+        self.eighth = nn.Sequential(_conv2d(32, 48, stride=2), nn.ReLU(), _Residual2d(48), _Residual2d(48))
+        self.sixteenth = nn.Sequential(_conv2d(48, 64, stride=2), nn.ReLU(), _Residual2d(64), _Residual2d(64))
+        self.eighth_from_sixteenth = nn.Conv2d(64, 48, 1)
+        self.quarter_from_eighth = nn.Conv2d(48, 32, 1)
+        self.fuse_eighth = _Residual2d(48)
+        self.fuse_quarter = _Residual2d(32)
+        self.head = nn.Conv2d(32, MATCH_CHANNELS, 1)
+
+    def forward(self, image_BCHW: Tensor) -> tuple[Tensor, Tensor]:
+        guide = self.stem(image_BCHW)
+        quarter = self.quarter(guide)
+        eighth = self.eighth(quarter)
+        sixteenth = self.sixteenth(eighth)
+        eighth = self.fuse_eighth(eighth + _double(self.eighth_from_sixteenth(sixteenth)))
+        quarter = self.fuse_quarter(quarter + _double(self.quarter_from_eighth(eighth)))
+        return self.head(quarter), guide
+
+
+def _double(x: Tensor) -> Tensor:
+    return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+class _Hourglass(nn.Module):
+    """3-D encoder and decoder over two levels, with skips."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.down1 = nn.Sequential(_conv3d(channels, 32, stride=2), nn.ReLU(), _conv3d(32, 32), nn.ReLU())
+        self.down2 = nn.Sequential(
+            _conv3d(32, 48, stride=2), nn.ReLU(), _conv3d(48, 48), nn.ReLU(), _conv3d(48, 48), nn.ReLU()
+        )
+        self.lift2 = nn.Conv3d(48, 32, 1)
+        self.mix1 = nn.Sequential(_conv3d(32, 32), nn.ReLU())
+        self.lift1 = nn.Conv3d(32, channels, 1)
+        self.mix0 = nn.Sequential(_conv3d(channels, channels), nn.ReLU())
+
+    def forward(self, x: Tensor) -> Tensor:
+        half = self.down1(x)
+        quarter = self.down2(half)
+        half = self.mix1(half + _resize_volume(self.lift2(quarter), half))
+        return self.mix0(x + _resize_volume(self.lift1(half), x))
+
+
+def _resize_volume(x: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(x, size=like.shape[2:], mode="nearest")
+
+
+class LiteMatching(nn.Module):
+    """Phi_M: features of both views to the disparities of ref."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.thin = nn.Conv2d(MATCH_CHANNELS, THIN_CHANNELS, 1)
+        self.enter = nn.Sequential(_conv3d(CORRELATION_GROUPS + 2 * THIN_CHANNELS, VOLUME_CHANNELS), nn.ReLU())
+        self.hourglass = _Hourglass(VOLUME_CHANNELS)
+        self.leave = _conv3d(VOLUME_CHANNELS, 1)
+        # The mean correlation goes straight to the output: training starts at once instead of after a plateau.
+        self.correlation_scale = nn.Parameter(torch.tensor(8.0))
+        self.up_weights = nn.Sequential(
+            _conv2d(MATCH_CHANNELS + 4 * GUIDE_CHANNELS, 48), nn.ReLU(), nn.Conv2d(48, 9 * 4, 1)
+        )
+        self.refine_enter = _conv2d(2 * GUIDE_CHANNELS + 1, REFINE_CHANNELS)
+        self.refine = nn.Sequential(*(_Residual2d(REFINE_CHANNELS, dilation=dilation) for dilation in (1, 2, 4, 1)))
+        self.refine_residual = _conv2d(REFINE_CHANNELS, 1)
+        self.refine_weights = nn.Conv2d(REFINE_CHANNELS, 9 * 4, 1)
+        nn.init.zeros_(self.refine_residual.weight)
+        nn.init.zeros_(self.leave.weight)
+
+    def forward(
+        self, ref: tuple[Tensor, Tensor], src: tuple[Tensor, Tensor], window: Window
+    ) -> tuple[list[Tensor], Tensor]:
+        logits = self._logits(ref[0], src[0], window)
+        coarse_px = expect_disparity_at_mode(logits, window=window)
+        half_px = upsample_convex(coarse_px, self._up_weights(ref), factor=2)
+        refined_px, weights = self._refine(half_px, ref[1], src[1], window)
+        fine_px = upsample_convex(refined_px, weights, factor=2)
+        return [_nearest(coarse_px, 4), _nearest(half_px, 2), fine_px], logits
+
+    def _logits(self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> Tensor:
+        correlation = correlate_groups(ref_BCHW, src_BCHW, window=window, groups=CORRELATION_GROUPS)
+        thin = concatenate_views(self.thin(ref_BCHW), self.thin(src_BCHW), window=window)
+        volume = torch.cat((correlation, thin), dim=1).contiguous(memory_format=torch.channels_last_3d)
+        regularised = self.leave(self.hourglass(self.enter(volume)))[:, 0]
+        return regularised.float() + self.correlation_scale * correlation.float().mean(dim=1)
+
+    def _up_weights(self, ref: tuple[Tensor, Tensor]) -> Tensor:
+        return self.up_weights(torch.cat((ref[0], functional.pixel_unshuffle(ref[1], 2)), dim=1))
+
+    def _refine(
+        self, half_px: Tensor, ref_guide: Tensor, src_guide: Tensor, window: Window
+    ) -> tuple[Tensor, Tensor]:
+        start_px = half_px.detach()
+        warped = warp_to_ref(src_guide, start_px / 2).to(ref_guide.dtype)
+        centre_px = (window[0] + window[1]) / 2
+        scaled = ((start_px - centre_px) / DISPARITY_SCALE_PX)[:, None].to(ref_guide.dtype)
+        hidden = self.refine(functional.relu(self.refine_enter(torch.cat((ref_guide, warped, scaled), dim=1))))
+        residual_px = self.refine_residual(hidden)[:, 0].float() * VOLUME_STEP_PX
+        return half_px + residual_px, self.refine_weights(hidden)
+
+
+def _nearest(values_BHW: Tensor, factor: int) -> Tensor:
+    return functional.interpolate(values_BHW[:, None], scale_factor=factor, mode="nearest")[:, 0]

@@ -1,0 +1,106 @@
+"""The networks by name. A new one is a file with its Phi_F and Phi_M, and a line in ``NETWORKS``.
+
+A network is a :class:`StereoNetwork`: a feature extractor and a matching module that can be used apart, since the
+feature-metric loss needs the first alone. Letters: B batch, C channels, D planes, H W image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from telewide.errors import UsageError
+from telewide.matching.lite import LiteFeatures, LiteMatching
+from telewide.matching.psmnet import PsmnetFeatures, PsmnetMatching, initialise_psmnet
+from telewide.matching.volume import Window
+
+SIZE_MULTIPLE_PX = 16
+"""Both sides of a network's input are multiples of this; inference pads."""
+
+
+@dataclass(frozen=True)
+class NetworkOutput:
+    """What a network says of ref.
+
+    Attributes:
+        disparities_px: (B, H, W) each, coarse to fine; the last is the result.
+        logits_BDHW: (B, D, H/4, W/4) regularised volume, from which confidence and the left-right check are read.
+    """
+
+    disparities_px: list[Tensor]
+    logits_BDHW: Tensor
+
+    @property
+    def disparity_px(self) -> Tensor:
+        return self.disparities_px[-1]
+
+
+class StereoNetwork(nn.Module):
+    """Phi = (Phi_F, Phi_M), over views already passed through :func:`standardise`.
+
+    Args:
+        features: a view (B, 3, H, W) to a tuple of maps, the first of them the matching features at 1/4.
+        matching: ``(ref, src, window)`` to ``(disparities, logits)``.
+    """
+
+    def __init__(self, features: nn.Module, matching: nn.Module) -> None:
+        super().__init__()
+        self.features = features
+        self.matching = matching
+
+    def forward(self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> NetworkOutput:
+        # One pass over both views: half the launches, and batch statistics over both.
+        maps = self.features(torch.cat((ref_BCHW, src_BCHW)).contiguous(memory_format=torch.channels_last))
+        batch = ref_BCHW.shape[0]
+        ref = tuple(m[:batch] for m in maps)
+        src = tuple(m[batch:] for m in maps)
+        disparities_px, logits = self.matching(ref, src, window)
+        return NetworkOutput(disparities_px, logits)
+
+
+def standardise(image_BCHW: Tensor) -> Tensor:
+    """Shift and scale each channel of each image to mean 0 and deviation 1.
+
+    Exposure and white balance differ between two lenses; this takes both out, as far as a gain and an offset can.
+    """
+    mean = image_BCHW.mean(dim=(-2, -1), keepdim=True)
+    deviation = image_BCHW.std(dim=(-2, -1), keepdim=True)
+    return (image_BCHW - mean) / (deviation + 0.02)
+
+
+def _build_lite() -> StereoNetwork:
+    return StereoNetwork(LiteFeatures(), LiteMatching())
+
+
+def _build_psmnet_s() -> StereoNetwork:
+    network = StereoNetwork(PsmnetFeatures(), PsmnetMatching())
+    initialise_psmnet(network)
+    return network
+
+
+NETWORKS: dict[str, Callable[[], StereoNetwork]] = {
+    "lite": _build_lite,
+    "psmnet-s": _build_psmnet_s,
+}
+
+
+def build_network(name: str, *, seed: int = 0) -> StereoNetwork:
+    """Build a network by name with weights drawn from ``seed``, in the memory order that is fast.
+
+    Raises:
+        UsageError: unknown name.
+    """
+    if name not in NETWORKS:
+        raise UsageError(f"unknown network {name!r}", hint=f"known networks: {', '.join(NETWORKS)}")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = NETWORKS[name]()
+    for layer in network.modules():
+        if isinstance(layer, nn.Conv3d | nn.ConvTranspose3d):
+            layer.to(memory_format=torch.channels_last_3d)
+        elif isinstance(layer, nn.Conv2d):
+            layer.to(memory_format=torch.channels_last)
+    return network

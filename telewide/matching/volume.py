@@ -1,0 +1,122 @@
+"""Matching volumes and what is read out of them.
+
+A volume has one plane every ``VOLUME_STEP_PX`` full-size pixels of the window ``[d_min, d_max)``, on the grid of the
+features (a quarter of the image). Plane k holds the disparity ``d_min + k VOLUME_STEP_PX``; windows may be negative.
+Letters: B batch, C channels, G groups, D planes, H W feature grid.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+VOLUME_STEP_PX = 4
+Window = tuple[int, int]
+
+
+def check_window(window: Window) -> None:
+    """Refuse a disparity window the volume cannot hold.
+
+    Raises:
+        ValueError: unless d_min < d_max and both are multiples of the volume's step.
+    """
+    d_min, d_max = window
+    if d_min >= d_max or d_min % VOLUME_STEP_PX or d_max % VOLUME_STEP_PX:
+        raise ValueError(f"disparity window {window}: expected d_min < d_max, multiples of {VOLUME_STEP_PX} px")
+
+
+def plane_disparities_px(window: Window, *, device: torch.device | None = None) -> Tensor:
+    """(D,) float32 disparity of each plane, full-size px."""
+    return torch.arange(window[0], window[1], VOLUME_STEP_PX, dtype=torch.float32, device=device)
+
+
+def shifted_views(src_BCHW: Tensor, window: Window) -> list[Tensor]:
+    """One view of src a plane, ``src(x - k)`` at ref's pixel x, zero outside; D tensors (B, C, H, W)."""
+    check_window(window)
+    width = src_BCHW.shape[-1]
+    shifts = range(window[0] // VOLUME_STEP_PX, window[1] // VOLUME_STEP_PX)
+    pad_left, pad_right = max(shifts[-1], 0), max(-shifts[0], 0)
+    padded = functional.pad(src_BCHW, (pad_left, pad_right))
+    return [padded[..., pad_left - shift : pad_left - shift + width] for shift in shifts]
+
+
+def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, groups: int) -> Tensor:
+    """Group-wise correlation of unit-length features (after Guo et al., GwcNet, 2019), each value in [-1, 1].
+
+    Args:
+        ref_BCHW: (B, C, H, W) features of ref.
+        src_BCHW: (B, C, H, W) features of src.
+        window: disparities ``[d_min, d_max)``, full-size px.
+        groups: G, a divisor of C; each group is scaled to unit length by itself.
+
+    Returns:
+        (B, G, D, H, W) volume.
+    """
+    ref, src = _unit_groups(ref_BCHW, groups), _unit_groups(src_BCHW, groups)
+    batch, channels, height, width = ref.shape
+    planes = [
+        (ref * shifted).view(batch, groups, channels // groups, height, width).sum(dim=2)
+        for shifted in shifted_views(src, window)
+    ]
+    return torch.stack(planes, dim=2)
+
+
+def _unit_groups(features_BCHW: Tensor, groups: int) -> Tensor:
+    grouped = features_BCHW.unflatten(1, (groups, -1))
+    return functional.normalize(grouped.float(), dim=2, eps=1e-4).to(features_BCHW.dtype).flatten(1, 2)
+
+
+def concatenate_views(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window) -> Tensor:
+    """Features of both views stacked at every plane: (B, C_ref + C_src, D, H, W)."""
+    shifted = torch.stack(shifted_views(src_BCHW, window), dim=2)
+    ref = ref_BCHW[:, :, None].expand(-1, -1, shifted.shape[2], -1, -1)
+    return torch.cat((ref, shifted), dim=1)
+
+
+def expect_disparity(logits_BDHW: Tensor, *, window: Window) -> Tensor:
+    """Expectation over all planes (soft argmin; Kendall et al., 2017): (B, H, W) float32, full-size px."""
+    planes = plane_disparities_px(window, device=logits_BDHW.device)
+    return torch.einsum("bdhw,d->bhw", logits_BDHW.float().softmax(dim=1), planes)
+
+
+def expect_disparity_at_mode(logits_BDHW: Tensor, *, window: Window, reach: int = 2) -> Tensor:
+    """Expectation over the planes around the likeliest one, so that no value lies between two surfaces.
+
+    Args:
+        logits_BDHW: (B, D, H, W).
+        window: disparities ``[d_min, d_max)``, full-size px.
+        reach: planes on each side of the mode that take part.
+
+    Returns:
+        (B, H, W) float32, full-size px.
+    """
+    logits = logits_BDHW.float()
+    planes = torch.arange(logits.shape[1], device=logits.device)[None, :, None, None]
+    mode = logits.detach().argmax(dim=1, keepdim=True)
+    near_mode = (planes - mode).abs() <= reach
+    return expect_disparity(logits.masked_fill(~near_mode, -torch.inf), window=window)
+
+
+def peak_share(logits_BDHW: Tensor, *, reach: int = 1) -> Tensor:
+    """Share of the probability within ``reach`` planes of the likeliest one: (B, H, W) in [0, 1]."""
+    probability = logits_BDHW.float().softmax(dim=1)
+    pooled = functional.avg_pool1d(
+        probability.flatten(2).transpose(1, 2), 2 * reach + 1, stride=1, padding=reach, count_include_pad=True
+    )
+    return (pooled.amax(dim=2) * (2 * reach + 1)).clamp(max=1).view(logits_BDHW.shape[0], *logits_BDHW.shape[2:])
+
+
+def shear_to_src(logits_BDHW: Tensor, *, window: Window) -> Tensor:
+    """The volume as seen from src: ``sheared(x_src, d) = volume(x_src + d, d)``, very unlikely outside.
+
+    It gives the source view's disparity, and so the left-right check, without a second pass of the network.
+    """
+    width = logits_BDHW.shape[-1]
+    shifts = range(window[0] // VOLUME_STEP_PX, window[1] // VOLUME_STEP_PX)
+    pad_left, pad_right = max(-shifts[0], 0), max(shifts[-1], 0)
+    padded = functional.pad(logits_BDHW.float(), (pad_left, pad_right), value=-1e4)
+    return torch.stack(
+        [padded[:, k, :, pad_left + s : pad_left + s + width] for k, s in enumerate(shifts)],
+        dim=1,
+    )

@@ -1,0 +1,208 @@
+"""From captures to corrected pairs: read, measure, correct, and keep the result in the run folder.
+
+    run/pairs/<name>/{tele,wide}.png   corrected pair at the working size
+    run/pairs/<name>/pair.json         what was measured, and from which files it was made
+    run/pairs/<name>/matches.npz       matches, in corrected coordinates: fitted to, and held out
+
+A pair whose files and options have not changed is taken as it lies there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from telewide.capture.images import resize_bicubic, write_image, write_pfm
+from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair
+from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
+from telewide.correction.inspect import PairReport, correct_pair, disparity_window, inspect_pair
+from telewide.correction.matches import find_matches
+from telewide.errors import InputError
+from telewide.geometry.stereo import FloatMap
+from telewide.matching.semiglobal import match_semiglobal
+from telewide.matching.volume import VOLUME_STEP_PX, Window
+from telewide.recipe import Recipe
+from telewide.training.judge import HeldOut
+from telewide.training.samples import LABELS_NAME
+
+FORMAT = 1
+LABEL_CONFIDENCE = 0.5
+
+
+@dataclass(frozen=True)
+class PreparedPair:
+    """A corrected pair in the run folder.
+
+    Attributes:
+        source: the capture it was made from.
+        capture: the corrected pair, to be read like a capture.
+        report: what was measured on the photos.
+        scale: working size over the photo's size.
+        held_out: its matches that no fit has seen.
+    """
+
+    source: Capture
+    capture: Capture
+    report: PairReport
+    scale: float
+    held_out: HeldOut
+
+
+@dataclass(frozen=True)
+class PreparedSet:
+    """All usable pairs of a capture folder.
+
+    Attributes:
+        pairs: sorted by name, never empty.
+        facts: what the owner states.
+        window: disparities to search, px at the working size.
+        problems: captures left out, and why.
+    """
+
+    pairs: tuple[PreparedPair, ...]
+    facts: CaptureFacts
+    window: Window
+    problems: tuple[Problem, ...]
+
+
+Tick = Callable[[PairReport | None], None]
+
+
+def prepare_captures(captures: CaptureSet, run: RunFolder, *, recipe: Recipe, tick: Tick | None = None) -> PreparedSet:
+    """Correct every capture of a set.
+
+    Args:
+        captures: what was found.
+        run: where the pairs are kept.
+        recipe: what is corrected; the working size; the window, where it states one.
+        tick: called after each capture, with its report or None where it was left out.
+
+    Returns:
+        The pairs that can be used. Bad captures are among its problems.
+
+    Raises:
+        InputError: none can be used.
+    """
+    pairs: list[PreparedPair] = []
+    problems = list(captures.problems)
+    for capture in captures.captures:
+        try:
+            prepared = _prepare_pair(capture, captures.facts, run, recipe)
+        except InputError as error:
+            problems.append(Problem(capture.name, error.message))
+            prepared = None
+        if prepared is not None and prepared.report.verdict == "refused":
+            problems.append(Problem(capture.name, "; ".join(prepared.report.reasons)))
+        elif prepared is not None:
+            pairs.append(prepared)
+        if tick is not None:
+            tick(prepared.report if prepared is not None else None)
+    if not pairs:
+        lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
+        raise InputError(f"{captures.root}: no capture can be used{lines}", hint="mend the captures named above")
+    window = recipe.window_px or disparity_window([pair.report for pair in pairs], step_px=VOLUME_STEP_PX)
+    return PreparedSet(tuple(pairs), captures.facts, window, tuple(problems))
+
+
+def _prepare_pair(capture: Capture, facts: CaptureFacts, run: RunFolder, recipe: Recipe) -> PreparedPair:
+    folder = run.pairs / capture.name
+    key = _key_of(capture, facts, recipe)
+    kept = _read_kept(capture, folder, key)
+    if kept is not None:
+        return kept
+    pair, scale = _at_working_size(read_pair(capture, facts=facts), recipe.working_width_px)
+    matches = find_matches(pair.tele, pair.wide)
+    report = inspect_pair(pair, facts=facts, matches=matches)
+    corrected = correct_pair(
+        pair,
+        matches=matches,
+        seed=recipe.seed,
+        has_vertical=recipe.correction.vertical,
+        has_colour=recipe.correction.colour,
+    )
+    write_image(folder / "tele.png", corrected.pair.tele)
+    write_image(folder / "wide.png", corrected.pair.wide)
+    with replacing(folder / "matches.npz") as temporary:
+        np.savez(
+            temporary,
+            held_out_ref_px=corrected.matches_held_out.ref_px,
+            held_out_src_px=corrected.matches_held_out.src_px,
+            fitted_ref_px=corrected.matches_fit.ref_px,
+            fitted_src_px=corrected.matches_fit.src_px,
+        )
+    (folder / LABELS_NAME).unlink(missing_ok=True)
+    content = {"key": key, "scale": scale, "report": dataclasses.asdict(report)}
+    write_text(folder / "pair.json", json.dumps(content, indent=2))
+    kept = _read_kept(capture, folder, key)
+    if kept is None:
+        raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
+    return kept
+
+
+def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe) -> dict[str, object]:
+    """What a prepared pair depends on."""
+    return {
+        "format": FORMAT,
+        "tele_sha256": fingerprint(capture.tele_path),
+        "wide_sha256": fingerprint(capture.wide_path),
+        "facts": dataclasses.asdict(facts),
+        "correction": recipe.correction.model_dump(),
+        "working_width_px": recipe.working_width_px,
+        "seed": recipe.seed,
+    }
+
+
+def _read_kept(capture: Capture, folder: Path, key: dict[str, object]) -> PreparedPair | None:
+    """The pair as an earlier call left it, or None where it is not there or was made from something else."""
+    try:
+        content = json.loads((folder / "pair.json").read_text(encoding="utf-8"))
+        if content["key"] != json.loads(json.dumps(key)):
+            return None
+        report = PairReport(**{**content["report"], "reasons": tuple(content["report"]["reasons"])})
+        with np.load(folder / "matches.npz", allow_pickle=False) as matches:
+            ref_px, src_px = matches["held_out_ref_px"], matches["held_out_src_px"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
+    if not (corrected.tele_path.is_file() and corrected.wide_path.is_file()):
+        return None
+    held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
+    return PreparedPair(capture, corrected, report, float(content["scale"]), held_out)
+
+
+def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:
+    height, width = pair.tele.shape[:2]
+    if width <= width_px:
+        return pair, 1.0
+    wh = (width_px, round(height * width_px / width))
+    tele, wide = (resize_bicubic(view, wh=wh) for view in (pair.tele, pair.wide))
+    return RectifiedPair(pair.name, tele, wide), width_px / width
+
+
+def write_labels(prepared: PreparedSet, *, names: Iterable[str], tick: Callable[[], None] | None = None) -> None:
+    """Write the confident semi-global disparities of some pairs, to teach by; those that are there stay.
+
+    Args:
+        prepared: the pairs.
+        names: of the pairs that training will see.
+        tick: called after each.
+    """
+    wanted = set(names)
+    for item in prepared.pairs:
+        path = item.capture.tele_path.with_name(LABELS_NAME)
+        if item.capture.name in wanted and not path.is_file():
+            pair = read_pair(item.capture)
+            write_pfm(path, _confident(pair, prepared.window))
+        if tick is not None:
+            tick()
+
+
+def _confident(pair: RectifiedPair, window: Window) -> FloatMap:
+    matched = match_semiglobal(pair.tele, pair.wide, window=window)
+    is_sure = matched.valid & (matched.confidence >= LABEL_CONFIDENCE)
+    return np.where(is_sure, matched.disparity_px, np.nan).astype(np.float32)

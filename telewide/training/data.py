@@ -1,0 +1,84 @@
+"""Batches, made by a worker process while the network computes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader, Dataset
+
+from telewide.training.objective import Batch
+from telewide.training.samples import Sample, SampleSource, crop_capture, generator_for, rehearse
+from telewide.training.stages import Stage
+
+_REHEARSED, _CAPTURED = 0, 1
+
+
+class StepBatches(Dataset[Batch]):
+    """Batch i of a stage, as a function of (seed, stage, i) alone.
+
+    Args:
+        source: captures, labels, sizes.
+        stage: how many crops of which kind.
+        seed: of the run.
+        rank: this process; it makes every ``world``-th crop of the joint batch.
+        world: number of processes.
+    """
+
+    def __init__(self, source: SampleSource, stage: Stage, *, seed: int, rank: int = 0, world: int = 1) -> None:
+        self._source, self._stage, self._seed = source, stage, seed
+        self._rank, self._world = rank, world
+
+    def __len__(self) -> int:
+        return self._stage.options.steps
+
+    def __getitem__(self, step: int) -> Batch:
+        options = self._stage.options
+        rehearsed = [
+            rehearse(self._source, rng=self._generator(step, _REHEARSED, crop)) for crop in self._mine(options.rehearsed)
+        ]
+        captured = [
+            crop_capture(self._source, rng=self._generator(step, _CAPTURED, crop), may_swap=options.swaps_views)
+            for crop in self._mine(options.captured)
+        ]
+        return collate([*rehearsed, *captured], n_rehearsed=len(rehearsed))
+
+    def _mine(self, count: int) -> range:
+        return range(self._rank, count, self._world)
+
+    def _generator(self, *salt: int) -> np.random.Generator:
+        return generator_for(self._seed, self._stage.index, *salt)
+
+
+def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
+    """Stack samples into one batch."""
+    return Batch(
+        _stack_images([sample.ref for sample in samples]),
+        _stack_images([sample.src for sample in samples]),
+        torch.from_numpy(np.stack([sample.truth_px for sample in samples])),
+        n_rehearsed,
+    )
+
+
+def iterate_batches(dataset: StepBatches, *, first_step: int, workers: int) -> Iterator[Batch]:
+    """Yield the batches from ``first_step`` to the end of the stage, prepared ahead by worker processes."""
+    loader = DataLoader(
+        dataset,
+        batch_size=None,
+        sampler=range(first_step, len(dataset)),
+        num_workers=workers,
+        prefetch_factor=4 if workers else None,
+        worker_init_fn=_one_thread_each if workers else None,
+    )
+    yield from loader
+
+
+def _one_thread_each(_: int) -> None:
+    cv2.setNumThreads(1)
+
+
+def _stack_images(images: list[NDArray[np.float32]]) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2)))

@@ -1,0 +1,313 @@
+"""The training loop: the only one. A stage says what a step does; the loop takes steps, judges, saves and goes on.
+
+Cut off anywhere, it continues from the last checkpoint with the losses it would have had.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Protocol
+
+import torch
+
+from telewide.errors import TelewideError
+from telewide.matching.inference import low_precision
+from telewide.matching.networks import StereoNetwork, standardise
+from telewide.matching.volume import Window
+from telewide.training.checkpoint import (
+    STATE_NAME,
+    WEIGHTS_NAME,
+    TrainingState,
+    WeightsCard,
+    frozen_extractor,
+    load_weights,
+    new_optimiser,
+    save_state,
+    save_weights,
+)
+from telewide.training.data import StepBatches, iterate_batches
+from telewide.training.objective import Batch, objective
+from telewide.training.options import TrainOptions
+from telewide.training.processes import Processes
+from telewide.training.samples import SampleSource
+from telewide.training.stages import Stage, plan_stages
+
+CHECKPOINT_EVERY_S = 20.0
+WARM_UP_STEPS = 50
+COOL_DOWN_SHARE = 0.25
+LAST_LEARNING_RATE = 0.1
+MAX_GRADIENT_NORM = 1.0
+LEAST_GAIN = 0.002
+"""A judgement is better when the share of wrong matches falls by this much."""
+
+Judge = Callable[[StereoNetwork], Mapping[str, float]]
+
+
+class Reporter(Protocol):
+    """Hears how the training goes."""
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        """A stage begins, or goes on at ``first_step``."""
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        """``step`` steps of the stage are done."""
+
+    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
+        """The held-out matches were asked."""
+
+    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
+        """A stage is done; ``network`` is its result."""
+
+    def said(self, message: str) -> None:
+        """Something worth a line."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What stays the same from the first step to the last.
+
+    Attributes:
+        folder: ``train/`` of the run.
+        options: of the recipe.
+        source: where crops come from.
+        judge: asks the held-out matches; its ``off_1px`` decides.
+        seed: of all samples.
+        network_name: for the weights' card.
+        recipe: resolved recipe, for the weights' card.
+        device: to compute on.
+        processes: this process among all.
+        workers: processes that prepare batches.
+    """
+
+    folder: Path
+    options: TrainOptions
+    source: SampleSource
+    judge: Judge
+    seed: int
+    network_name: str
+    recipe: Mapping[str, object]
+    device: torch.device
+    processes: Processes
+    workers: int
+
+    @property
+    def window(self) -> Window:
+        return self.source.window_px
+
+
+def train(training: Training, state: TrainingState, *, reporter: Reporter) -> TrainingState:
+    """Run all stages that are left.
+
+    Args:
+        training: data, options, judge.
+        state: new, or read from a checkpoint; changed as training goes on.
+        reporter: hears of it.
+
+    Returns:
+        The same state, finished; its ``average`` holds the best stage's weights.
+
+    Raises:
+        KeyboardInterrupt: asked to stop; the state has been saved.
+        TelewideError: the loss is not finite; the last good checkpoint is kept.
+    """
+    plan = plan_stages(training.options)
+    while not state.is_finished:
+        stage = plan[state.stage_index]
+        if state.step == 0:
+            _begin_stage(state, stage)
+        reporter.stage_started(stage, first_step=state.step)
+        _run_stage(training, state, stage, reporter)
+        _end_stage(training, state, stage, plan, reporter)
+    return state
+
+
+def _begin_stage(state: TrainingState, stage: Stage) -> None:
+    """Start from the last result, with a fresh optimiser (paper, section 4.3)."""
+    state.network.load_state_dict(state.average.state_dict())
+    state.optimiser = new_optimiser(state.network)
+    state.teacher = frozen_extractor(state.average) if stage.needs_teacher else None
+    state.judgements = []
+
+
+def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> None:
+    processes = training.processes
+    dataset = StepBatches(
+        training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world
+    )
+    saved_s = time.monotonic()
+    state.network.train()
+    with _stop_request() as is_stop_requested:
+        for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
+            begun_s = time.monotonic()
+            losses = take_step(state, batch.to(training.device), stage, training=training)
+            state.step += 1
+            reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
+            must_stop = processes.any(is_stop_requested())
+            if must_stop or time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
+                _save(training, state, stage)
+                saved_s = time.monotonic()
+            if must_stop:
+                raise KeyboardInterrupt
+            if state.step % training.options.judge_every_steps == 0 or state.step == stage.options.steps:
+                if _is_converged(training, state, stage, reporter):
+                    break
+                state.network.train()
+
+
+def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> dict[str, float]:
+    """Forward, backward, update; the averaged weights follow.
+
+    Args:
+        state: changed in place, but for its counters.
+        batch: this process' crops of the joint batch.
+        stage: losses and learning rate.
+        training: window, processes.
+
+    Returns:
+        The parts of the loss.
+
+    Raises:
+        TelewideError: the loss is not finite; weights are as before the step.
+    """
+    for group in state.optimiser.param_groups:
+        group["lr"] = learning_rate(stage, step=state.step)
+    state.optimiser.zero_grad(set_to_none=True)
+    with low_precision(training.device):
+        output = state.network(standardise(batch.ref_BCHW), standardise(batch.src_BCHW), training.window)
+        loss, parts = objective(
+            output,
+            batch,
+            stage,
+            window=training.window,
+            teacher=state.teacher,
+            global_sum=training.processes.global_sum,
+        )
+    if training.processes.any(not math.isfinite(float(loss.detach()))):
+        raise TelewideError(
+            f"the loss of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
+            hint=f"lower the learning rate: --set train.{_section(stage)}.learning_rate=...",
+        )
+    loss.backward()
+    training.processes.sum_gradients(state.network)
+    torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT_NORM)
+    state.optimiser.step()
+    _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
+    return parts
+
+
+def learning_rate(stage: Stage, *, step: int) -> float:
+    """Warm-up, plateau, and a fall to a tenth over the last quarter of the stage's ceiling."""
+    left = (stage.options.steps - step) / stage.options.steps
+    cooled = LAST_LEARNING_RATE + (1 - LAST_LEARNING_RATE) * min(1.0, left / COOL_DOWN_SHARE)
+    return stage.options.learning_rate * min(1.0, (step + 1) / WARM_UP_STEPS) * cooled
+
+
+def _warm_decay(decay: float, step: int) -> float:
+    return min(decay, (step + 1) / (step + 10))
+
+
+@torch.no_grad()
+def _follow(average: StereoNetwork, network: StereoNetwork, *, decay: float) -> None:
+    torch._foreach_lerp_(list(average.parameters()), list(network.parameters()), 1 - decay)
+    for kept, current in zip(average.buffers(), network.buffers(), strict=True):
+        kept.copy_(current)
+
+
+def _is_converged(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> bool:
+    """Ask the held-out matches; True when the last ``patience`` answers brought nothing better."""
+    judgement = _ask(training, state)
+    state.judgements.append(judgement["off_1px"])
+    reporter.judged(stage, step=state.step, judgement=judgement)
+    patience = training.options.patience
+    if state.step < stage.options.least_steps or len(state.judgements) <= patience:
+        return False
+    before, recent = state.judgements[:-patience], state.judgements[-patience:]
+    return min(recent) > min(before) - LEAST_GAIN
+
+
+def _ask(training: Training, state: TrainingState) -> dict[str, float]:
+    """The writer judges; every process gets the answer, so that all decide alike."""
+    judgement = dict(training.judge(state.average)) if training.processes.is_writer else {}
+    names = ("off_1px", "off_3px", "mean_px")
+    values = training.processes.from_writer([judgement.get(name, math.nan) for name in names])
+    return dict(zip(names, values, strict=True))
+
+
+def _end_stage(
+    training: Training, state: TrainingState, stage: Stage, plan: tuple[Stage, ...], reporter: Reporter
+) -> None:
+    """Keep the stage's weights; go on, or stop boosting when it no longer helps."""
+    result = state.judgements[-1] if state.judgements else math.nan
+    if training.processes.is_writer:
+        save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=_card(training, state, stage))
+    reporter.stage_finished(stage, network=state.average, judgement={"off_1px": result})
+    is_worse = bool(state.stage_judgements) and result >= state.stage_judgements[state.best_stage]
+    state.stage_judgements.append(result)
+    if not is_worse:
+        state.best_stage = stage.index
+    is_last = stage.index + 1 == len(plan)
+    if is_last or (is_worse and stage.needs_teacher):
+        state.is_finished = True
+        if is_worse:
+            _return_to_best(training, state, plan, reporter, worse=stage)
+    else:
+        state.stage_index, state.step = stage.index + 1, 0
+    _save(training, state, plan[state.best_stage] if state.is_finished else stage)
+
+
+def _return_to_best(
+    training: Training, state: TrainingState, plan: tuple[Stage, ...], reporter: Reporter, *, worse: Stage
+) -> None:
+    best = plan[state.best_stage]
+    reporter.said(f"{worse.name} did not lower the share of wrong matches; {best.name} is kept and boosting ends")
+    network, _ = load_weights(training.folder / f"{best.name}.safetensors", device=training.device)
+    state.average.load_state_dict(network.state_dict())
+
+
+def _save(training: Training, state: TrainingState, stage: Stage) -> None:
+    if training.processes.is_writer:
+        save_state(state, training.folder / STATE_NAME)
+        save_weights(state.average, training.folder / WEIGHTS_NAME, card=_card(training, state, stage))
+
+
+def _card(training: Training, state: TrainingState, stage: Stage) -> WeightsCard:
+    return WeightsCard(
+        network=training.network_name,
+        window=training.window,
+        recipe=training.recipe,
+        training={"stage": stage.name, "step": state.step, "off_1px": state.judgements[-1:]},
+    )
+
+
+def _section(stage: Stage) -> str:
+    return stage.name.partition("-")[0]
+
+
+@contextmanager
+def _stop_request() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a request that is answered between two steps; the second one is as usual."""
+    requested = False
+
+    def note(signum: int, frame: FrameType | None) -> None:
+        nonlocal requested
+        requested = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    try:
+        previous = signal.signal(signal.SIGINT, note)
+    except ValueError:  # not in the main thread: Ctrl-C does not come here
+        yield lambda: False
+        return
+    try:
+        yield lambda: requested
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+

@@ -1,0 +1,153 @@
+"""What one step minimises: the losses of a stage over one batch.
+
+A batch holds rehearsed crops first, then real ones. Whatever has a truth (rendered, or a confident label) is
+supervised; the real crops are compared by the stage's loss besides.
+Letters: B batch, C channels, H W crop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from telewide.matching.networks import NetworkOutput, standardise
+from telewide.matching.sampling import is_inside_src, warp_to_ref
+from telewide.matching.volume import VOLUME_STEP_PX, Window
+from telewide.training.losses import (
+    Term,
+    distribution_loss,
+    feature_metric_loss,
+    photometric_loss,
+    smoothness_loss,
+    supervised_loss,
+    visible_mask,
+)
+from telewide.training.stages import Stage
+
+COARSE_WEIGHT = 0.4
+"""Weight of each disparity before the last, as in networks with several outputs."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Crops of one step.
+
+    Attributes:
+        ref_BCHW: (B, 3, H, W) in [0, 1].
+        src_BCHW: (B, 3, H, W) in [0, 1].
+        truth_px_BHW: (B, H, W), NaN where unknown.
+        n_rehearsed: how many of the first crops are rendered; the others are real.
+    """
+
+    ref_BCHW: Tensor
+    src_BCHW: Tensor
+    truth_px_BHW: Tensor
+    n_rehearsed: int
+
+    def to(self, device: torch.device) -> Batch:
+        """Move the tensors."""
+        moved = (t.to(device, non_blocking=True) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
+        return Batch(*moved, self.n_rehearsed)
+
+
+Reduce = Callable[[Tensor], Tensor]
+
+
+def objective(
+    output: NetworkOutput, batch: Batch, stage: Stage, *, window: Window, teacher: nn.Module | None, global_sum: Reduce
+) -> tuple[Tensor, dict[str, float]]:
+    """Add up the losses of a stage.
+
+    Args:
+        output: the network's, of this batch.
+        batch: the crops.
+        stage: which losses, with which weights.
+        window: disparities of the volume, px.
+        teacher: frozen extractor of the stage before, in eval mode, where the stage's loss is feature-metric.
+        global_sum: adds a count over all processes; the identity for one.
+
+    Returns:
+        The scalar to differentiate (this process' share of the sum), and the parts for the log.
+    """
+    weighted = _supervised_terms(output, batch, stage, window)
+    if stage.options.captured and stage.options.captured_loss != "labels":
+        weighted += _captured_terms(output, batch, stage, window, teacher)
+    parts: dict[str, Tensor] = {}
+    for name, weight, term in weighted:
+        share = weight * term.total / global_sum(term.count.detach()).clamp(min=1.0)
+        parts[name] = parts[name] + share if name in parts else share
+    total = torch.stack(list(parts.values())).sum()
+    return total, {name: float(value.detach()) for name, value in parts.items()}
+
+
+Weighted = list[tuple[str, float, Term]]
+
+
+def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window: Window) -> Weighted:
+    options, n = stage.options, batch.n_rehearsed
+    label_weight = options.captured_weight if options.captured_loss == "labels" else options.labels_weight
+    groups = [("rehearsal", slice(0, n), 1.0), ("labels", slice(n, None), label_weight)]
+    terms: Weighted = []
+    for name, part, weight in groups:
+        truth_px = batch.truth_px_BHW[part]
+        if not weight or not len(truth_px):
+            continue
+        # What the volume cannot hold is no lesson.
+        truth_px = torch.where((truth_px >= window[0]) & (truth_px < window[1]), truth_px, torch.nan)
+        terms.append((name, weight, distribution_loss(output.logits_BDHW[part], truth_px, window=window)))
+        terms += [
+            (name, weight * factor, supervised_loss(disparity_px[part], truth_px))
+            for disparity_px, factor in _weighted_outputs(output)
+        ]
+    return terms
+
+
+def _captured_terms(
+    output: NetworkOutput, batch: Batch, stage: Stage, window: Window, teacher: nn.Module | None
+) -> Weighted:
+    options, part = stage.options, slice(batch.n_rehearsed, None)
+    ref, src = batch.ref_BCHW[part], batch.src_BCHW[part]
+    visible = visible_mask(output.logits_BDHW[part], window=window) if options.occlusion_masks else None
+    terms: Weighted = []
+    for disparity_px, factor in _weighted_outputs(output):
+        disparity, weight = disparity_px[part], factor * options.captured_weight
+        if options.captured_loss == "feature":
+            if teacher is None:
+                raise ValueError(f"stage {stage.name} compares features, but no extractor was handed over")
+            term = _through_extractor(teacher, ref, src, disparity, visible, options.alpha)
+        else:
+            mask = is_inside_src(disparity.detach())
+            if visible is not None:
+                mask &= _enlarge(visible)
+            term = photometric_loss(ref, src, disparity, mask, alpha=options.alpha)
+        terms.append((options.captured_loss, weight, term))
+        terms.append(("smoothness", weight * options.smoothness, smoothness_loss(disparity, ref)))
+    return terms
+
+
+def _through_extractor(
+    teacher: nn.Module, ref: Tensor, src: Tensor, disparity_px: Tensor, visible: Tensor | None, alpha: float
+) -> Term:
+    """Eq. 5: warp the image first, then extract features of it."""
+    with torch.no_grad():
+        target = teacher(standardise(ref))[0]
+    # Standardised before the warp: the zeros that fall in from outside must not shift the mean.
+    warped = teacher(warp_to_ref(standardise(src), disparity_px))[0]
+    inside = is_inside_src(disparity_px.detach())
+    mask = functional.avg_pool2d(inside.float()[:, None], VOLUME_STEP_PX)[:, 0] > 0.99
+    if visible is not None:
+        mask &= visible
+    return feature_metric_loss(target, warped, mask, alpha=alpha)
+
+
+def _weighted_outputs(output: NetworkOutput) -> list[tuple[Tensor, float]]:
+    *coarse, last = output.disparities_px
+    return [*((disparity_px, COARSE_WEIGHT) for disparity_px in coarse), (last, 1.0)]
+
+
+def _enlarge(mask_Bhw: Tensor) -> Tensor:
+    return mask_Bhw.repeat_interleave(VOLUME_STEP_PX, dim=1).repeat_interleave(VOLUME_STEP_PX, dim=2)

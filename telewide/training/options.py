@@ -1,0 +1,75 @@
+"""What a recipe may say about training."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from telewide.options import Options
+
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class StageOptions(Options):
+    """One stage: where its crops come from, what they are compared by, how long it lasts."""
+
+    steps: Count = 1000
+    """Ceiling on steps; 0 leaves the stage out."""
+    least_steps: Count = 0
+    """Steps before a plateau may end the stage."""
+    learning_rate: Positive = 1e-3
+    """Of Adam; warmed up over the first steps, falling to a tenth over the last quarter of the ceiling."""
+    rehearsed: Count = 0
+    """Crops a step that are rendered from the user's photos, with exact disparity."""
+    captured: Count = 0
+    """Crops a step of the real captures."""
+    captured_loss: Literal["photometric", "feature", "labels"] = "photometric"
+    """What the real crops are compared by: eq. 3, eq. 5, or confident semi-global labels."""
+    captured_weight: Positive = 1.0
+    """Weight of the real crops' loss beside the rehearsed crops'."""
+    alpha: Annotated[float, Field(ge=0)] = 3.0
+    """Weight of the structural part in eq. 3 and eq. 5."""
+    smoothness: Annotated[float, Field(ge=0)] = 0.1
+    """lambda, weight of eq. 6."""
+    occlusion_masks: bool = True
+    """Leave pixels out of the real crops' loss that fail the left-right check."""
+    swaps_views: bool = False
+    """Exchange the views of real crops half of the time, mirrored, as the paper does."""
+    labels_weight: Annotated[float, Field(ge=0)] = 0.0
+    """Weight of confident semi-global labels beside another loss of the real crops."""
+
+    @model_validator(mode="after")
+    def _has_crops(self) -> StageOptions:
+        if self.steps and not self.rehearsed + self.captured:
+            raise ValueError("a stage with steps needs crops: rehearsed or captured above 0")
+        return self
+
+
+class TrainOptions(Options):
+    """The stages in their order and what they share."""
+
+    crop_hw: tuple[Annotated[int, Field(ge=64, multiple_of=16)], Annotated[int, Field(ge=64, multiple_of=16)]] = (
+        256,
+        384,
+    )
+    """Height and width of the crops, px."""
+    stages: Count = 3
+    """K, how many feature-metric stages follow at most."""
+    rehearsal: StageOptions = StageOptions(steps=0)
+    """Supervised by rendered pairs; before the paper's stages."""
+    photometric: StageOptions = StageOptions(steps=0)
+    """Stage 0 of the paper, eq. 3."""
+    feature: StageOptions = StageOptions(steps=0, captured_loss="feature")
+    """Stages 1 to K of the paper, eq. 5 with the extractor of the stage before."""
+    average_decay: Annotated[float, Field(ge=0, lt=1)] = 0.995
+    """Decay of the running average of the weights that is kept as the result; 0 keeps the last weights."""
+    judge_every_steps: Annotated[int, Field(ge=1)] = 250
+    """How often the held-out matches are asked."""
+    patience: Annotated[int, Field(ge=1)] = 3
+    """A stage has converged when so many judgements in a row brought nothing better."""
+    held_out_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.2
+    """Share of the captures (of each picture's width, when there are few) kept for judging."""
+    asymmetry: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] = (1.0, 6.0)
+    """Range of the factor by which rehearsed source views lose resolution."""

@@ -1,0 +1,181 @@
+"""Training samples: a crop of two views, and what is known of it.
+
+Every sample is a function of (seed, index) alone: a training that is cut off continues with the very samples it would
+have seen, and N processes draw the samples one process would.
+Letters: H W crop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.capture.images import read_pfm
+from telewide.capture.pair import Capture, PairReader
+from telewide.simulate.degrade import degrade, random_degradation
+from telewide.simulate.scene import random_scene, render_pair
+
+FloatImage = NDArray[np.float32]
+FloatMap = NDArray[np.float32]
+
+LABELS_NAME = "labels.pfm"
+_TEXTURE_PHOTOS = 3
+_ZOOM = (0.75, 1.2)
+"""Enlargement of a crop of a capture. Above 1 disparities grow, and the margin of the window has to hold them."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One crop of two views.
+
+    Attributes:
+        ref: (H, W, 3) float32 sRGB, the sharp view.
+        src: (H, W, 3) float32 sRGB, the other view.
+        truth_px: (H, W) float32 disparity, px, NaN where nothing is known.
+    """
+
+    ref: FloatImage
+    src: FloatImage
+    truth_px: FloatMap
+
+
+@dataclass(frozen=True)
+class CropArea:
+    """The part of a capture that training may see, as fractions of its width.
+
+    Attributes:
+        first: left end.
+        end: right end; what lies beyond is held out.
+    """
+
+    first: float = 0.0
+    end: float = 1.0
+
+
+@dataclass(frozen=True)
+class SampleSource:
+    """Where samples come from; travels to worker processes.
+
+    Attributes:
+        captures: corrected captures to draw from.
+        labels_folder: holds ``<name>/labels.pfm``, confident disparities of the captures, px; None for none.
+        crop_hw: size of the crops.
+        window_px: disparities that the volume holds.
+        asymmetry: range of the factor by which rehearsed views are damaged.
+        area: the part of each capture that may be seen.
+        reader: keeps the pictures last read.
+    """
+
+    captures: tuple[Capture, ...]
+    crop_hw: tuple[int, int]
+    window_px: tuple[int, int]
+    asymmetry: tuple[float, float] = (1.0, 6.0)
+    area: CropArea = field(default_factory=CropArea)
+    labels_folder: Path | None = None
+    reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=256 << 20), compare=False)
+
+
+def generator_for(seed: int, *salt: int) -> np.random.Generator:
+    """Return a generator that depends on its arguments only."""
+    return np.random.default_rng(np.random.SeedSequence([seed, *salt]))
+
+
+def rehearse(source: SampleSource, *, rng: np.random.Generator) -> Sample:
+    """Render a still life painted with the user's own photos, and damage its source view as a wide lens would.
+
+    Args:
+        source: the photos and the sizes.
+        rng: source of all draws.
+
+    Returns:
+        A sample whose truth is known everywhere, behind other objects too.
+    """
+    photos = [source.reader.read(_choose(source.captures, rng)).tele for _ in range(_TEXTURE_PHOTOS)]
+    scene = random_scene(rng, hw=source.crop_hw, disparity_window_px=source.window_px, photos=photos)
+    pair = render_pair(scene)
+    damage = random_degradation(rng, factor=source.asymmetry)
+    return Sample(pair.ref, degrade(pair.src, damage, rng=rng), pair.disparity_px)
+
+
+def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bool) -> Sample:
+    """Cut a crop out of a real capture, zoomed and tinted alike in both views.
+
+    Args:
+        source: the captures and the sizes.
+        rng: source of all draws.
+        may_swap: exchange the views half of the time, mirrored, so that disparities keep their sign.
+
+    Returns:
+        A sample; its truth holds the confident labels where there are any.
+    """
+    capture = _choose(source.captures, rng)
+    pair = source.reader.read(capture)
+    labels = None if source.labels_folder is None else _read_labels(source.labels_folder / capture.name / LABELS_NAME)
+    box = _random_box(pair.tele.shape[:2], source, rng)
+    ref, src = (_cut(view, box, source.crop_hw) for view in (pair.tele, pair.wide))
+    truth_px = _cut_labels(labels, box, source.crop_hw)
+    ref, src = _jitter((ref, src), rng)
+    if may_swap and rng.random() < 0.5:
+        ref, src = np.ascontiguousarray(src[:, ::-1]), np.ascontiguousarray(ref[:, ::-1])
+        truth_px = np.full_like(truth_px, np.nan)
+    return Sample(ref, src, truth_px)
+
+
+def _choose(captures: Sequence[Capture], rng: np.random.Generator) -> Capture:
+    return captures[int(rng.integers(len(captures)))]
+
+
+@lru_cache(maxsize=16)
+def _read_labels(path: Path) -> FloatMap:
+    return read_pfm(path)
+
+
+@dataclass(frozen=True)
+class _Box:
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+def _random_box(hw: tuple[int, ...], source: SampleSource, rng: np.random.Generator) -> _Box:
+    """A box of the crop's shape; smaller pictures are enlarged to fill the crop."""
+    zoom = float(rng.uniform(*_ZOOM))
+    first_x, end_x = round(source.area.first * hw[1]), round(source.area.end * hw[1])
+    height, width = source.crop_hw[0] / zoom, source.crop_hw[1] / zoom
+    fit = min(1.0, hw[0] / height, (end_x - first_x) / width)
+    box_h, box_w = max(8, int(height * fit)), max(8, int(width * fit))
+    x = first_x + int(rng.integers(0, max(1, end_x - first_x - box_w + 1)))
+    y = int(rng.integers(0, max(1, hw[0] - box_h + 1)))
+    return _Box(x, y, min(box_w, end_x - x), min(box_h, hw[0] - y))
+
+
+def _cut(view: FloatImage, box: _Box, crop_hw: tuple[int, int]) -> FloatImage:
+    part = view[box.y : box.y + box.height, box.x : box.x + box.width]
+    interpolation = cv2.INTER_AREA if box.width > crop_hw[1] else cv2.INTER_CUBIC
+    resized = cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=interpolation)
+    return np.clip(resized, 0, 1).astype(np.float32, copy=False)
+
+
+def _cut_labels(labels: FloatMap | None, box: _Box, crop_hw: tuple[int, int]) -> FloatMap:
+    if labels is None:
+        return np.full(crop_hw, np.nan, dtype=np.float32)
+    part = labels[box.y : box.y + box.height, box.x : box.x + box.width]
+    resized = cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=cv2.INTER_NEAREST_EXACT)
+    return (resized * np.float32(crop_hw[1] / box.width)).astype(np.float32)
+
+
+def _jitter(views: tuple[FloatImage, FloatImage], rng: np.random.Generator) -> tuple[FloatImage, FloatImage]:
+    """Gamma, brightness and colour drawn once and applied to both views, in the paper's ranges."""
+    if rng.random() < 0.5:
+        return views
+    gamma = float(rng.uniform(0.8, 1.2))
+    gain = (rng.uniform(0.8, 1.2) * rng.uniform(0.95, 1.05, size=3)).astype(np.float32)
+    ref, src = (np.clip(np.power(view, np.float32(gamma)) * gain, 0, 1) for view in views)
+    return ref, src
