@@ -28,6 +28,8 @@ LAYERS = {
     "training": 5,
     "output": 6,
     "recipe": 7,
+    "prepare": 7,
+    "train": 7,
     "pipeline": 7,
     "benchmark": 7,
     "cli": 8,
@@ -52,7 +54,7 @@ def own_imports(module: Module) -> Iterator[tuple[str, int]]:
 
 def is_torch_allowed(name: str) -> bool:
     """Whether a module may import torch."""
-    return name.split(".")[0] in {"matching", "training"} and name != "matching.semiglobal"
+    return name.split(".")[0] in {"matching", "training", "train"} and name != "matching.semiglobal"
 
 
 def layer_findings(module: Module) -> list[str]:

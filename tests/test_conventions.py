@@ -80,8 +80,8 @@ def test_convention_ref_is_the_view_the_depth_is_for() -> None:
 def test_convention_transforms_chain_by_name() -> None:
     def check(module: Module) -> Iterator[str]:
         for function in functions(module):
-            is_converter = re.fullmatch(r"_?[a-z0-9]+_to_[a-z0-9]+", function.name)
-            if is_converter and words(function.name)[0] not in VERBS:
+            first, _, second = function.name.strip("_").partition("_to_")
+            if FRAMES & set(words(first)[-1:]) and FRAMES & set(words(second)[:1]):
                 yield at(module, function.lineno, f"{function.name}: call a converter a_from_b")
         for node in ast.walk(module.tree):
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
@@ -91,7 +91,9 @@ def test_convention_transforms_chain_by_name() -> None:
                     if inner.removesuffix("_3x3") != outer:
                         yield at(module, node.lineno, f"{first} @ {second}")
 
-    VERBS = {"warp", "pad", "blur", "crop", "fit", "flush", "resize", "round", "shear", "snap", "write"}
+    FRAMES = {"tele", "wide", "ref", "src", "rect", "camera", "world", "px", "m", "deg", "rad", "hw", "wh", "xy"} | {
+        *{"linear", "srgb", "rgb", "bgr", "grey", "image", "points", "pixels", "depth", "disparity"}
+    }
     chains = ("tele_from_wide @ tele_from_wide", "a_from_b @ b_from_c @ b_from_d")
     holds(check, broken_by=("def tele_to_wide(x): ...", *chains))
     assert list(check(module_from_text("a_from_b @ b_from_c @ c_from_d @ p_d"))) == []
@@ -382,16 +384,20 @@ def test_convention_asymmetry_is_at_least_one(tmp_path: Path) -> None:
 
 def test_convention_volumes_carry_their_letters() -> None:
     def check(module: Module) -> Iterator[str]:
+        known = set("BCDHWN") | set(re.findall(r"\b[A-Z]\b", ast.get_docstring(module.tree) or ""))
         for name, line in identifiers(module):
-            letters = name.rpartition("_")[2]
-            is_axes = letters.isupper() and len(letters) > 1 and not name.isupper() and set(letters) <= set("BCGDHWNK")
-            if is_axes and letters != "".join(letter for letter in "BNCGKDHW" if letter in letters):
-                yield at(module, line, f"{name}: axes out of order")
+            letters = re.sub(r"[0-9]", "", name.rpartition("_")[2])
+            if not letters.isupper() or len(letters) < 2 or name.isupper():
+                continue
+            if not set(letters) <= known:
+                yield at(module, line, f"{name}: the module's docstring does not say what {letters} are")
+            elif "B" in letters and letters != "".join(k for k in "BCGDNHW" if k in letters):
+                yield at(module, line, f"{name}: torch keeps batch, channels, planes, rows, columns")
         for name, line, annotation in _annotated(module):
             if annotation == "Tensor" and words(name)[-1] in {"cost", "volume"}:
                 yield at(module, line, f"{name} without its letters")
 
-    holds(check, broken_by=("cost_BDCHW = 1", "image_HWC = 1", "def f(cost: Tensor): ..."))
+    holds(check, broken_by=("cost_BDCHW = 1", "cost_BXHW = 1", "def f(cost: Tensor): ..."))
 
 
 def test_convention_booleans_are_is_or_has() -> None:
