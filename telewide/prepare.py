@@ -20,14 +20,14 @@ import numpy as np
 from telewide.capture.images import resize_bicubic, write_image, write_pfm
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
+from telewide.correction.held_out import HeldOut
 from telewide.correction.inspect import PairReport, correct_pair, disparity_window, inspect_pair
 from telewide.correction.matches import find_matches
 from telewide.errors import InputError
 from telewide.geometry.stereo import FloatMap
 from telewide.matching.semiglobal import match_semiglobal
-from telewide.matching.volume import VOLUME_STEP_PX, Window
+from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.recipe import Recipe
-from telewide.training.judge import HeldOut
 from telewide.training.samples import LABELS_NAME
 
 FORMAT = 1

@@ -30,8 +30,10 @@ LAYERS = {
     "recipe": 7,
     "prepare": 7,
     "train": 7,
+    "page": 7,
     "pipeline": 7,
     "benchmark": 7,
+    "progress": 8,
     "cli": 8,
     "__main__": 8,
 }
@@ -157,9 +159,12 @@ def _takes_only_the_version(module: Module, line: int) -> bool:
 
 
 def test_package_inits_hold_a_docstring_only() -> None:
-    assert all_findings(
-        lambda m: [at(m, 1, "holds code") for _ in m.tree.body[1:] if m.name and m.path.name == "__init__.py"]
-    ) == []
+    assert (
+        all_findings(
+            lambda m: [at(m, 1, "holds code") for _ in m.tree.body[1:] if m.name and m.path.name == "__init__.py"]
+        )
+        == []
+    )
 
 
 def test_torch_only_in_matching_and_training() -> None:
@@ -169,9 +174,14 @@ def test_torch_only_in_matching_and_training() -> None:
 
 
 def test_colour_science_only_in_correction_colour() -> None:
-    assert all_findings(
-        lambda m: [at(m, n, x) for x, n in imports(m) if x.split(".")[0] == "colour" and m.name != "correction.colour"]
-    ) == []
+    assert (
+        all_findings(
+            lambda m: [
+                at(m, n, x) for x, n in imports(m) if x.split(".")[0] == "colour" and m.name != "correction.colour"
+            ]
+        )
+        == []
+    )
 
 
 def test_everything_but_networks_loads_without_torch() -> None:
@@ -238,13 +248,16 @@ def _annotations(function: FunctionNode) -> list[ast.expr]:
 
 
 def test_no_assert_and_no_bare_except_in_the_package() -> None:
-    assert all_findings(
-        lambda m: [
-            at(m, n.lineno, "assert or bare except")
-            for n in ast.walk(m.tree)
-            if isinstance(n, ast.Assert) or (isinstance(n, ast.ExceptHandler) and n.type is None)
-        ]
-    ) == []
+    assert (
+        all_findings(
+            lambda m: [
+                at(m, n.lineno, "assert or bare except")
+                for n in ast.walk(m.tree)
+                if isinstance(n, ast.Assert) or (isinstance(n, ast.ExceptHandler) and n.type is None)
+            ]
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("word", ["utils", "common", "helpers", "misc"])
@@ -253,13 +266,16 @@ def test_no_attic(word: str) -> None:
 
 
 def test_no_function_is_hard_to_read_in_one_go() -> None:
-    assert all_findings(
-        lambda m: [
-            at(m, f.lineno, f"{f.name} has {f.end_lineno - f.lineno + 1} lines")
-            for f in functions(m)
-            if f.end_lineno is not None and f.end_lineno - f.lineno >= 80
-        ]
-    ) == []
+    assert (
+        all_findings(
+            lambda m: [
+                at(m, f.lineno, f"{f.name} has {f.end_lineno - f.lineno + 1} lines")
+                for f in functions(m)
+                if f.end_lineno is not None and f.end_lineno - f.lineno >= 80
+            ]
+        )
+        == []
+    )
 
 
 def test_the_layer_table_of_contributing_is_this_one(repo: Path) -> None:

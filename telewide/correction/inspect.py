@@ -145,26 +145,31 @@ def inspect_pair(pair: RectifiedPair, *, facts: CaptureFacts, matches: Matches |
 
 
 def correct_pair(
-    pair: RectifiedPair, *, facts: CaptureFacts, matches: Matches | None = None, seed: int = 0
+    pair: RectifiedPair,
+    *,
+    matches: Matches | None = None,
+    seed: int = 0,
+    has_vertical: bool = True,
+    has_colour: bool = True,
 ) -> CorrectedPair:
     """Bring wide's rows and colours to tele's, fitted to half of the matches.
 
     Args:
         pair: the two views, of one size.
-        facts: what the owner states about the captures; the rows of a pair stated as unrectified are corrected alike.
         matches: matches already found on this pair; None finds them.
         seed: seed of the split into matches to fit to and held-out ones.
+        has_vertical: correct the rows.
+        has_colour: correct the colours.
 
     Returns:
-        The corrected pair, the fits and both halves of the matches.
+        The corrected pair, the fits and both halves of the matches; the split does not depend on what is corrected.
     """
-    del facts  # nothing stated changes the correction yet; the caller passes them as to inspect_pair
     found = find_matches(pair.tele, pair.wide) if matches is None else matches
     fit_half, held_out = split_matches(found, seed=seed)
-    vertical = fit_vertical(fit_half, hw=_hw(pair))
+    vertical = fit_vertical(fit_half if has_vertical else fit_half.select(np.arange(0)), hw=_hw(pair))
     fit_half, held_out = corrected_matches(fit_half, vertical), corrected_matches(held_out, vertical)
     wide = apply_vertical(pair.wide, vertical)
-    colour = fit_colour(pair.tele, wide, fit_half)
+    colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)))
     corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour))
     return CorrectedPair(corrected, vertical, colour, fit_half, held_out)
 

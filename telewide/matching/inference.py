@@ -19,14 +19,8 @@ from telewide.errors import MissingPartError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, standardise
 from telewide.matching.sampling import pad_to_multiple, warp_to_ref
-from telewide.matching.volume import (
-    VOLUME_STEP_PX,
-    Window,
-    check_window,
-    expect_disparity_at_mode,
-    peak_share,
-    shear_to_src,
-)
+from telewide.matching.volume import expect_disparity_at_mode, peak_share, shear_to_src
+from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
 
 FloatImage = NDArray[np.float32]
 
@@ -57,7 +51,7 @@ def low_precision(device: torch.device) -> AbstractContextManager[object]:
 def has_fast_bf16(device: torch.device) -> bool:
     """Whether convolutions in bf16 are faster than in float32 on this device."""
     if device.type == "cuda":
-        return torch.cuda.is_bf16_supported()
+        return bool(torch.cuda.is_bf16_supported())
     capability = torch.cpu.get_capabilities() if hasattr(torch.cpu, "get_capabilities") else {}
     return bool(capability.get("avx512_bf16") or capability.get("amx_bf16") or capability.get("arm_bf16"))
 
@@ -114,13 +108,14 @@ def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window
     gap_px = (disparity_px - seen_px).abs()
     sharpness = _enlarge(peak_share(output.logits_BDHW), mode="bilinear")[:, 0]
     confidence = sharpness * (1 - gap_px / AGREEMENT_PX).clamp(min=0)
-    maps = (disparity_px, confidence, gap_px < AGREEMENT_PX)
-    return tuple(m[0, :height, :width] for m in maps)  # type: ignore[return-value]
+    cut = (0, slice(height), slice(width))
+    return disparity_px[cut], confidence[cut], (gap_px < AGREEMENT_PX)[cut]
 
 
 def _enlarge(map_Bhw: Tensor, *, mode: str) -> Tensor:
-    align = None if mode == "nearest" else False
-    return functional.interpolate(map_Bhw[:, None], scale_factor=VOLUME_STEP_PX, mode=mode, align_corners=align)
+    if mode == "nearest":
+        return functional.interpolate(map_Bhw[:, None], scale_factor=VOLUME_STEP_PX, mode="nearest")
+    return functional.interpolate(map_Bhw[:, None], scale_factor=VOLUME_STEP_PX, mode=mode, align_corners=False)
 
 
 def _falls_inside(disparity_px: FloatImage) -> NDArray[np.bool_]:

@@ -16,13 +16,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from telewide.matching.sampling import upsample_convex, warp_to_ref
-from telewide.matching.volume import (
-    VOLUME_STEP_PX,
-    Window,
-    concatenate_views,
-    correlate_groups,
-    expect_disparity_at_mode,
-)
+from telewide.matching.volume import concatenate_views, correlate_groups, expect_disparity_at_mode
+from telewide.matching.window import VOLUME_STEP_PX, Window
 
 GUIDE_CHANNELS = 16
 MATCH_CHANNELS = 48
@@ -59,9 +54,7 @@ class LiteFeatures(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stem = nn.Sequential(_conv2d(3, GUIDE_CHANNELS, stride=2), nn.ReLU(), _Residual2d(GUIDE_CHANNELS))
-        self.quarter = nn.Sequential(
-            _conv2d(GUIDE_CHANNELS, 32, stride=2), nn.ReLU(), _Residual2d(32), _Residual2d(32)
-        )
+        self.quarter = nn.Sequential(_conv2d(GUIDE_CHANNELS, 32, stride=2), nn.ReLU(), _Residual2d(32), _Residual2d(32))
         self.eighth = nn.Sequential(_conv2d(32, 48, stride=2), nn.ReLU(), _Residual2d(48), _Residual2d(48))
         self.sixteenth = nn.Sequential(_conv2d(48, 64, stride=2), nn.ReLU(), _Residual2d(64), _Residual2d(64))
         self.eighth_from_sixteenth = nn.Conv2d(64, 48, 1)
@@ -71,6 +64,7 @@ class LiteFeatures(nn.Module):
         self.head = nn.Conv2d(32, MATCH_CHANNELS, 1)
 
     def forward(self, image_BCHW: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, 3, H, W) to (B, 48, H/4, W/4) and (B, 16, H/2, W/2)."""
         guide = self.stem(image_BCHW)
         quarter = self.quarter(guide)
         eighth = self.eighth(quarter)
@@ -102,7 +96,8 @@ class _Hourglass(nn.Module):
         half = self.down1(x)
         quarter = self.down2(half)
         half = self.mix1(half + _resize_volume(self.lift2(quarter), half))
-        return self.mix0(x + _resize_volume(self.lift1(half), x))
+        mixed: Tensor = self.mix0(x + _resize_volume(self.lift1(half), x))
+        return mixed
 
 
 def _resize_volume(x: Tensor, like: Tensor) -> Tensor:
@@ -133,6 +128,7 @@ class LiteMatching(nn.Module):
     def forward(
         self, ref: tuple[Tensor, Tensor], src: tuple[Tensor, Tensor], window: Window
     ) -> tuple[list[Tensor], Tensor]:
+        """Disparities (B, H, W), coarse to fine, px, and the volume (B, D, H/4, W/4) they were read from."""
         logits = self._logits(ref[0], src[0], window)
         coarse_px = expect_disparity_at_mode(logits, window=window)
         half_px = upsample_convex(coarse_px, self._up_weights(ref), factor=2)
@@ -145,14 +141,14 @@ class LiteMatching(nn.Module):
         thin = concatenate_views(self.thin(ref_BCHW), self.thin(src_BCHW), window=window)
         volume = torch.cat((correlation, thin), dim=1).contiguous(memory_format=torch.channels_last_3d)
         regularised = self.leave(self.hourglass(self.enter(volume)))[:, 0]
-        return regularised.float() + self.correlation_scale * correlation.float().mean(dim=1)
+        logits: Tensor = regularised.float() + self.correlation_scale * correlation.float().mean(dim=1)
+        return logits
 
     def _up_weights(self, ref: tuple[Tensor, Tensor]) -> Tensor:
-        return self.up_weights(torch.cat((ref[0], functional.pixel_unshuffle(ref[1], 2)), dim=1))
+        weights: Tensor = self.up_weights(torch.cat((ref[0], functional.pixel_unshuffle(ref[1], 2)), dim=1))
+        return weights
 
-    def _refine(
-        self, half_px: Tensor, ref_guide: Tensor, src_guide: Tensor, window: Window
-    ) -> tuple[Tensor, Tensor]:
+    def _refine(self, half_px: Tensor, ref_guide: Tensor, src_guide: Tensor, window: Window) -> tuple[Tensor, Tensor]:
         start_px = half_px.detach()
         warped = warp_to_ref(src_guide, start_px / 2).to(ref_guide.dtype)
         centre_px = (window[0] + window[1]) / 2

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from telewide.errors import UsageError
 from telewide.matching.lite import LiteFeatures, LiteMatching
 from telewide.matching.psmnet import PsmnetFeatures, PsmnetMatching, initialise_psmnet
-from telewide.matching.volume import Window
+from telewide.matching.window import Window
 
 SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
@@ -35,6 +35,7 @@ class NetworkOutput:
 
     @property
     def disparity_px(self) -> Tensor:
+        """(B, H, W) the result."""
         return self.disparities_px[-1]
 
 
@@ -52,6 +53,7 @@ class StereoNetwork(nn.Module):
         self.matching = matching
 
     def forward(self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> NetworkOutput:
+        """Match two standardised views (B, 3, H, W) whose sides are multiples of ``SIZE_MULTIPLE_PX``."""
         # One pass over both views: half the launches, and batch statistics over both.
         maps = self.features(torch.cat((ref_BCHW, src_BCHW)).contiguous(memory_format=torch.channels_last))
         batch = ref_BCHW.shape[0]
@@ -100,7 +102,7 @@ def build_network(name: str, *, seed: int = 0) -> StereoNetwork:
         network = NETWORKS[name]()
     for layer in network.modules():
         if isinstance(layer, nn.Conv3d | nn.ConvTranspose3d):
-            layer.to(memory_format=torch.channels_last_3d)
+            layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last_3d)
         elif isinstance(layer, nn.Conv2d):
-            layer.to(memory_format=torch.channels_last)
+            layer.weight.data = layer.weight.data.contiguous(memory_format=torch.channels_last)
     return network

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from telewide.matching.volume import VOLUME_STEP_PX, Window, concatenate_views
+from telewide.matching.volume import concatenate_views
+from telewide.matching.window import VOLUME_STEP_PX, Window
 
 FEATURE_CHANNELS = 16
 VOLUME_CHANNELS = 16
@@ -50,7 +51,8 @@ class _Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         shortcut: Tensor = self.shortcut(x)
-        return shortcut + self.conv2(functional.relu(self.conv1(x)))
+        residual: Tensor = self.conv2(functional.relu(self.conv1(x)))
+        return shortcut + residual
 
 
 def _blocks(c_in: int, c_out: int, count: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
@@ -76,6 +78,7 @@ class PsmnetFeatures(nn.Module):
         self.last = nn.Sequential(_conv2d(128, 64), nn.ReLU(), nn.Conv2d(64, FEATURE_CHANNELS, 1, bias=False))
 
     def forward(self, image_BCHW: Tensor) -> tuple[Tensor]:
+        """(B, 3, H, W) to ((B, 16, H/4, W/4),)."""
         quarter = self.layer2(self.layer1(self.first(image_BCHW)))
         deep = self.layer4(self.layer3(quarter))
         pooled = [
@@ -121,6 +124,7 @@ class PsmnetMatching(nn.Module):
         self.classify = nn.Sequential(_conv3d(c, c), nn.ReLU(), nn.Conv3d(c, 1, 3, padding=1, bias=False))
 
     def forward(self, ref: tuple[Tensor], src: tuple[Tensor], window: Window) -> tuple[list[Tensor], Tensor]:
+        """[Disparity (B, H, W), px] and the volume (B, D, H/4, W/4)."""
         volume = concatenate_views(ref[0], src[0], window=window).contiguous(memory_format=torch.channels_last_3d)
         cost = self.dres0(volume)
         cost = cost + self.dres1(cost)

@@ -11,19 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-VOLUME_STEP_PX = 4
-Window = tuple[int, int]
-
-
-def check_window(window: Window) -> None:
-    """Refuse a disparity window the volume cannot hold.
-
-    Raises:
-        ValueError: unless d_min < d_max and both are multiples of the volume's step.
-    """
-    d_min, d_max = window
-    if d_min >= d_max or d_min % VOLUME_STEP_PX or d_max % VOLUME_STEP_PX:
-        raise ValueError(f"disparity window {window}: expected d_min < d_max, multiples of {VOLUME_STEP_PX} px")
+from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
 
 
 def plane_disparities_px(window: Window, *, device: torch.device | None = None) -> Tensor:
@@ -63,7 +51,8 @@ def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, grou
 
 
 def _unit_groups(features_BCHW: Tensor, groups: int) -> Tensor:
-    grouped = features_BCHW.unflatten(1, (groups, -1))
+    batch, channels, height, width = features_BCHW.shape
+    grouped = features_BCHW.reshape(batch, groups, channels // groups, height, width)
     return functional.normalize(grouped.float(), dim=2, eps=1e-4).to(features_BCHW.dtype).flatten(1, 2)
 
 

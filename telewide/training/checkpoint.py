@@ -24,7 +24,7 @@ from torch import nn
 from telewide.capture.rundir import replacing
 from telewide.errors import InputError
 from telewide.matching.networks import StereoNetwork, build_network
-from telewide.matching.volume import Window
+from telewide.matching.window import Window
 
 FORMAT = "1"
 STATE_NAME = "state.pt"
@@ -162,7 +162,10 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
             metadata = opened.metadata() or {}
         first, end = json.loads(metadata["window"])
         card = WeightsCard(
-            metadata["network"], (int(first), int(end)), json.loads(metadata["recipe"]), json.loads(metadata["training"])
+            metadata["network"],
+            (int(first), int(end)),
+            json.loads(metadata["recipe"]),
+            json.loads(metadata["training"]),
         )
         network = build_network(card.network)
         network.load_state_dict(load_file(path))

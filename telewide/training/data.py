@@ -38,7 +38,8 @@ class StepBatches(Dataset[Batch]):
     def __getitem__(self, step: int) -> Batch:
         options = self._stage.options
         rehearsed = [
-            rehearse(self._source, rng=self._generator(step, _REHEARSED, crop)) for crop in self._mine(options.rehearsed)
+            rehearse(self._source, rng=self._generator(step, _REHEARSED, crop))
+            for crop in self._mine(options.rehearsed)
         ]
         captured = [
             crop_capture(self._source, rng=self._generator(step, _CAPTURED, crop), may_swap=options.swaps_views)
@@ -72,6 +73,8 @@ def iterate_batches(dataset: StepBatches, *, first_step: int, workers: int) -> I
         num_workers=workers,
         prefetch_factor=4 if workers else None,
         worker_init_fn=_one_thread_each if workers else None,
+        # A forked process inherits OpenCV's locks without the threads that hold them, and waits for ever.
+        multiprocessing_context="spawn" if workers else None,
     )
     yield from loader
 

@@ -20,7 +20,7 @@ import torch
 from telewide.errors import TelewideError
 from telewide.matching.inference import low_precision
 from telewide.matching.networks import StereoNetwork, standardise
-from telewide.matching.volume import Window
+from telewide.matching.window import Window
 from telewide.training.checkpoint import (
     STATE_NAME,
     WEIGHTS_NAME,
@@ -99,6 +99,7 @@ class Training:
 
     @property
     def window(self) -> Window:
+        """Disparities of the volume, px."""
         return self.source.window_px
 
 
@@ -138,9 +139,7 @@ def _begin_stage(state: TrainingState, stage: Stage) -> None:
 
 def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> None:
     processes = training.processes
-    dataset = StepBatches(
-        training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world
-    )
+    dataset = StepBatches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
     saved_s = time.monotonic()
     state.network.train()
     with _stop_request() as is_stop_requested:
@@ -149,7 +148,7 @@ def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter:
             losses = take_step(state, batch.to(training.device), stage, training=training)
             state.step += 1
             reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
-            must_stop = processes.any(is_stop_requested())
+            must_stop = processes.is_any(is_stop_requested())
             if must_stop or time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
                 _save(training, state, stage)
                 saved_s = time.monotonic()
@@ -189,12 +188,12 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
             teacher=state.teacher,
             global_sum=training.processes.global_sum,
         )
-    if training.processes.any(not math.isfinite(float(loss.detach()))):
+    if training.processes.is_any(not math.isfinite(float(loss.detach()))):
         raise TelewideError(
             f"the loss of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
             hint=f"lower the learning rate: --set train.{_section(stage)}.learning_rate=...",
         )
-    loss.backward()
+    torch.autograd.backward(loss)
     training.processes.sum_gradients(state.network)
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT_NORM)
     state.optimiser.step()
@@ -309,5 +308,3 @@ def _stop_request() -> Iterator[Callable[[], bool]]:
         yield lambda: requested
     finally:
         signal.signal(signal.SIGINT, previous)
-
-

@@ -14,7 +14,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from telewide.matching.sampling import warp_to_ref
-from telewide.matching.volume import VOLUME_STEP_PX, Window, expect_disparity_at_mode, shear_to_src
+from telewide.matching.volume import expect_disparity_at_mode, shear_to_src
+from telewide.matching.window import VOLUME_STEP_PX, Window
 
 SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
@@ -67,7 +68,9 @@ def reconstruction_difference(target_BCHW: Tensor, warped_BCHW: Tensor, *, alpha
     return (absolute + alpha * (1 - ssim(target, warped))).mean(dim=1)
 
 
-def photometric_loss(ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tensor, mask_BHW: Tensor, *, alpha: float) -> Term:
+def photometric_loss(
+    ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tensor, *, mask_BHW: Tensor, alpha: float
+) -> Term:
     """Photometric loss, eq. 3 of the paper: ``|I_L - I_r->L|_1 + alpha (1 - SSIM(I_L, I_r->L))``.
 
     Args:
@@ -81,7 +84,7 @@ def photometric_loss(ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tenso
     return _masked(difference, mask_BHW[:, 1:-1, 1:-1])
 
 
-def feature_metric_loss(target_BCHW: Tensor, warped_BCHW: Tensor, mask_BHW: Tensor, *, alpha: float) -> Term:
+def feature_metric_loss(target_BCHW: Tensor, warped_BCHW: Tensor, *, mask_BHW: Tensor, alpha: float) -> Term:
     """Feature-metric loss, eq. 5: eq. 3 between features of ref and features of the warped source *image*.
 
     Features are scaled to unit length over the channels first, so that ``alpha`` means the same in every stage.

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from telewide.matching.networks import NetworkOutput, standardise
 from telewide.matching.sampling import is_inside_src, warp_to_ref
-from telewide.matching.volume import VOLUME_STEP_PX, Window
+from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.training.losses import (
     Term,
     distribution_loss,
@@ -50,8 +50,8 @@ class Batch:
 
     def to(self, device: torch.device) -> Batch:
         """Move the tensors."""
-        moved = (t.to(device, non_blocking=True) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
-        return Batch(*moved, self.n_rehearsed)
+        ref, src, truth_px = (t.to(device) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
+        return Batch(ref, src, truth_px, self.n_rehearsed)
 
 
 Reduce = Callable[[Tensor], Tensor]
@@ -123,7 +123,7 @@ def _captured_terms(
             mask = is_inside_src(disparity.detach())
             if visible is not None:
                 mask &= _enlarge(visible)
-            term = photometric_loss(ref, src, disparity, mask, alpha=options.alpha)
+            term = photometric_loss(ref, src, disparity, mask_BHW=mask, alpha=options.alpha)
         terms.append((options.captured_loss, weight, term))
         terms.append(("smoothness", weight * options.smoothness, smoothness_loss(disparity, ref)))
     return terms
@@ -141,7 +141,7 @@ def _through_extractor(
     mask = functional.avg_pool2d(inside.float()[:, None], VOLUME_STEP_PX)[:, 0] > 0.99
     if visible is not None:
         mask &= visible
-    return feature_metric_loss(target, warped, mask, alpha=alpha)
+    return feature_metric_loss(target, warped, mask_BHW=mask, alpha=alpha)
 
 
 def _weighted_outputs(output: NetworkOutput) -> list[tuple[Tensor, float]]:

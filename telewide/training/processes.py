@@ -47,7 +47,7 @@ class Processes:
         gradients = [p.grad if p.grad is not None else torch.zeros_like(p) for p in network.parameters()]
         flat = torch.cat([gradient.flatten() for gradient in gradients])
         dist.all_reduce(flat)
-        pieces = flat.split([gradient.numel() for gradient in gradients])
+        pieces = torch.split(flat, [gradient.numel() for gradient in gradients])
         for parameter, piece in zip(network.parameters(), pieces, strict=True):
             parameter.grad = piece.view_as(parameter).clone()
 
@@ -59,7 +59,12 @@ class Processes:
         dist.broadcast_object_list(shared, src=0)
         return [float(str(value)) for value in shared]
 
-    def any(self, flag: bool) -> bool:
+    def wait(self) -> None:
+        """Wait for all processes."""
+        if self.world > 1:
+            dist.barrier()
+
+    def is_any(self, flag: bool) -> bool:
         """Whether the flag is set in any process."""
         return bool(self.global_sum(torch.tensor(float(flag))) > 0) if self.world > 1 else flag
 

@@ -111,7 +111,7 @@ def test_stated_as_unrectified_and_nothing_to_tell_otherwise(pair: RectifiedPair
 
 
 def test_correction_brings_rows_and_colours_together(pair: RectifiedPair) -> None:
-    corrected = correct_pair(pair, facts=FACTS)
+    corrected = correct_pair(pair)
     assert corrected.pair.tele is pair.tele
     assert corrected.vertical.is_fitted
     assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.3
@@ -122,13 +122,13 @@ def test_correction_brings_rows_and_colours_together(pair: RectifiedPair) -> Non
 
 
 def test_correction_leaves_an_equal_pair_alone(world: RenderedPair) -> None:
-    corrected = correct_pair(RectifiedPair("equal", world.ref, world.src), facts=SILENT)
+    corrected = correct_pair(RectifiedPair("equal", world.ref, world.src))
     assert corrected.pair.wide is world.src
 
 
 def test_correction_leaves_a_hopeless_pair_alone(pair: RectifiedPair) -> None:
     flat = dataclasses.replace(pair, wide=np.full_like(pair.wide, 0.3))
-    corrected = correct_pair(flat, facts=SILENT)
+    corrected = correct_pair(flat)
     assert corrected.pair.wide is flat.wide
     assert len(corrected.matches_held_out) == 0
 
@@ -170,7 +170,7 @@ def test_pairs_that_tell_nothing_have_no_say() -> None:
 def test_correction_lessens_the_misfit_of_phone_pairs(data_root: Path, name: str) -> None:
     captures = find_captures(data_root / "p30")
     capture = next(c for c in captures.captures if c.name == name)
-    corrected = correct_pair(read_pair(capture, facts=captures.facts), facts=captures.facts)
+    corrected = correct_pair(read_pair(capture, facts=captures.facts))
     assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.45
     assert corrected.vertical.residual_before_px > 0.5
     assert corrected.colour.delta_after < 0.5 * corrected.colour.delta_before

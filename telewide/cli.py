@@ -1,0 +1,307 @@
+"""The command line: parse, call one function, say what was written. Heavy imports wait until a command runs.
+
+Answers go to standard output, everything else to standard error. Exit codes: see `telewide.errors`.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from telewide.errors import TelewideError, UsageError
+
+if TYPE_CHECKING:
+    from telewide.pipeline import BokehOptions, DepthOptions, DepthRun
+    from telewide.progress import ConsoleObserver
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="telewide",
+    help="Depth and bokeh from the wide and tele lenses of a phone.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Example: `telewide train captures/`, then `telewide depth --bokeh`.",
+)
+
+CapturesArgument = Annotated[Path, typer.Argument(help="Folder of the captures.")]
+RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, or a YAML file.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe; may be repeated.")
+]
+DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")]
+SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
+FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
+FNumberOption = Annotated[
+    float | None, typer.Option(help="Aperture of the 50 mm lens to imitate; needs the lenses' distance.")
+]
+StrengthOption = Annotated[
+    float | None, typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the width]")
+]
+
+
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        typer.echo(metadata.version("telewide"))
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(epilog="Example: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`")
+def train(
+    captures: CapturesArgument = Path("captures"),
+    *,
+    recipe: RecipeOption = "default",
+    out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
+    settings: SetOption = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
+    device: DeviceOption = "auto",
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Train a stereo network on your own captures, without labels; run again to continue."""
+    from telewide.pipeline import train_captures
+    from telewide.recipe import load_recipe
+
+    _check_device(device)
+    resolved = load_recipe(recipe, settings=settings or (), seed=seed)
+    with _observer(is_quiet=quiet) as observer:
+        outcome = train_captures(captures, run=out, recipe=resolved, fresh=fresh, device=device, observer=observer)
+        run_flag = f" --run {out}" if out is not None else ""
+        captures_flag = f" {captures}" if captures != Path("captures") else ""
+        observer.said(f"weights: {outcome.weights}")
+        observer.said(f"next: telewide depth{captures_flag}{run_flag} --bokeh")
+    if as_json:
+        _print_json(
+            {
+                "weights": str(outcome.weights),
+                "is_new": outcome.is_new,
+                "best_stage": outcome.best_stage,
+                "off_1px": dict(outcome.stages),
+            }
+        )
+
+
+@app.command(
+    epilog="Example: `telewide depth --bokeh --focus near`; without a trained run: `telewide depth --method sgm`"
+)
+def depth(
+    captures: CapturesArgument = Path("captures"),
+    *,
+    run: Annotated[Path | None, typer.Option(help="Run folder of a training. [default: run/]")] = None,
+    weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
+    method: Annotated[str, typer.Option(metavar="network|sgm", help="sgm needs no training.")] = "network",
+    bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,
+    focus: FocusOption = "auto",
+    f_number: FNumberOption = None,
+    strength: StrengthOption = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: RUN/depth]")] = None,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Compute disparity, depth where the scale is known, and bokeh."""
+    options = _depth_options(
+        method=method,
+        weights=weights,
+        bokeh=_bokeh_options(focus=focus, f_number=f_number, strength=strength) if bokeh else None,
+        out=out,
+        device=device,
+    )
+    if run is not None and not run.is_dir() and method == "network" and weights is None:
+        raise UsageError(f"{run} does not exist", hint="train first: telewide train captures/")
+    from telewide.pipeline import depth_captures, recipe_of_run
+
+    with _observer(is_quiet=quiet, shows_table=False) as observer:
+        recipe = recipe_of_run(run, captures)
+        done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
+        _say_depth(done, observer)
+    if as_json:
+        _print_json(_json_of_depth(done))
+
+
+@app.command("run", epilog="Example: `telewide run examples/captures --recipe quick`")
+def run_everything(
+    captures: CapturesArgument = Path("captures"),
+    *,
+    recipe: RecipeOption = "default",
+    out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
+    settings: SetOption = None,
+    focus: FocusOption = "auto",
+    f_number: FNumberOption = None,
+    strength: StrengthOption = None,
+    device: DeviceOption = "auto",
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Do everything that is still to do: train, depth, bokeh, and a report page."""
+    from telewide.pipeline import run_captures
+    from telewide.recipe import load_recipe
+
+    options = _depth_options(
+        method="network",
+        weights=None,
+        bokeh=_bokeh_options(focus=focus, f_number=f_number, strength=strength),
+        out=None,
+        device=device,
+    )
+    resolved = load_recipe(recipe, settings=settings or (), seed=seed)
+    with _observer(is_quiet=quiet) as observer:
+        done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
+        _say_depth(done, observer)
+        observer.said(f"report: {done.report}")
+    if as_json:
+        _print_json({**_json_of_depth(done), "report": str(done.report)})
+
+
+@app.command(epilog="Example: `telewide simulate my-captures --captures 12 --seed 3`")
+def simulate(
+    out: Annotated[Path, typer.Argument(help="Folder to write captures into.")],
+    *,
+    captures: Annotated[int, typer.Option(help="How many captures.")] = 10,
+    seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
+    width: Annotated[int, typer.Option(help="Width of tele, px.")] = 384,
+    height: Annotated[int, typer.Option(help="Height of tele, px.")] = 256,
+    factor: Annotated[float, typer.Option(help="How many times fewer pixels wide has along each side.")] = 3.0,
+    scene: Annotated[str, typer.Option(metavar="still-life|random", help="What is photographed.")] = "still-life",
+) -> None:
+    """Write captures of a simulated world, with exact disparity beside them."""
+    from telewide.simulate.captures import write_captures
+
+    folders = write_captures(out, count=captures, seed=seed, hw=(height, width), factor=factor, scene=scene)
+    typer.echo(f"wrote {len(folders)} captures to {out}", err=True)
+    typer.echo(f"next: telewide train {out}", err=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and leave with its exit code.
+
+    Args:
+        arguments: the words after ``telewide``; None takes them from the process.
+    """
+    logging.basicConfig(level=logging.WARNING, format="note: %(message)s", stream=sys.stderr)
+    sys.exit(_exit_code(arguments))
+
+
+def _exit_code(arguments: Sequence[str] | None) -> int:
+    words = list(arguments) if arguments is not None else sys.argv[1:]
+    try:
+        code = app(words, prog_name="telewide", standalone_mode=False)
+    except TelewideError as error:
+        return _complain(error, as_json="--json" in words)
+    except (KeyboardInterrupt, typer.Abort):
+        typer.echo("stopped; what was finished is kept, run the same command to continue", err=True)
+        return INTERRUPTED
+    except BrokenPipeError:
+        return 0
+    except Exception as error:
+        show = getattr(error, "show", None)  # the parser's own errors know how to show themselves
+        if callable(show):
+            show()
+            return int(getattr(error, "exit_code", 2))
+        traceback.print_exc()
+        typer.echo("this is a fault in telewide, not in your files; please report the lines above", err=True)
+        return 1
+    return code if isinstance(code, int) else 0
+
+
+def _complain(error: TelewideError, *, as_json: bool) -> int:
+    typer.echo(f"error: {error.message}", err=True)
+    if error.hint:
+        typer.echo(f"  {error.hint}", err=True)
+    if as_json:
+        _print_json({"error": error.message, "hint": error.hint, "exit_code": error.exit_code})
+    return error.exit_code
+
+
+@contextmanager
+def _observer(*, is_quiet: bool, shows_table: bool = True) -> Iterator[ConsoleObserver]:
+    from rich.console import Console
+
+    from telewide.pipeline import is_writer
+    from telewide.progress import ConsoleObserver
+
+    observer = ConsoleObserver(Console(stderr=True), is_quiet=is_quiet or not is_writer(), shows_table=shows_table)
+    try:
+        yield observer
+    finally:
+        observer.close()
+
+
+def _check_device(device: str) -> None:
+    if device not in ("auto", "cpu", "cuda"):
+        raise UsageError(f"--device {device}: expected auto, cpu or cuda")
+
+
+def _depth_options(
+    *, method: str, weights: Path | None, bokeh: BokehOptions | None, out: Path | None, device: str
+) -> DepthOptions:
+    from telewide.pipeline import METHODS, DepthOptions
+
+    _check_device(device)
+    if method not in METHODS:
+        raise UsageError(f"--method {method}: expected {' or '.join(METHODS)}")
+    if weights is not None and not weights.is_file():
+        raise UsageError(f"{weights} does not exist; a weights file was expected")
+    return DepthOptions(method=method, weights=weights, bokeh=bokeh, out=out, device=device)
+
+
+def _bokeh_options(*, focus: str, f_number: float | None, strength: float | None) -> BokehOptions:
+    from telewide.pipeline import BokehOptions
+
+    if f_number is not None and strength is not None:
+        raise UsageError("--f-number and --strength both say how strong the blur is; give one of them")
+    for name, value in (("--f-number", f_number), ("--strength", strength)):
+        if value is not None and not value > 0:
+            raise UsageError(f"{name} {value}: a number above 0 was expected")
+    return BokehOptions(focus=focus, strength_px=strength, f_number=f_number)
+
+
+def _say_depth(done: DepthRun, observer: ConsoleObserver) -> None:
+    observer.said(f"depth of {len(done.outcomes)} captures in {done.folder}")
+    if done.outcomes:
+        names = sorted({path.name for outcome in done.outcomes for path in outcome.paths})
+        observer.said(f"each with: {', '.join(names)}")
+
+
+def _json_of_depth(done: DepthRun) -> dict[str, object]:
+    return {
+        "folder": str(done.folder),
+        "captures": [
+            {
+                "name": outcome.name,
+                "files": [str(path) for path in outcome.paths],
+                "notes": list(outcome.notes),
+                "numbers": {name: value if value == value else None for name, value in outcome.numbers.items()},
+            }
+            for outcome in done.outcomes
+        ],
+        "problems": [{"name": problem.name, "message": problem.message} for problem in done.problems],
+    }
+
+
+def _print_json(content: dict[str, object]) -> None:
+    typer.echo(json.dumps(content, ensure_ascii=False))

@@ -1,0 +1,71 @@
+"""Matches kept for judging: where tele's points truly lie in wide, known to no fit and no training.
+
+A match found in both directions says where a point of tele lies in wide. The share of matches that a disparity map
+misses by more than 1 px compares matchers, losses and stages, and needs no ground truth.
+Letters: N matches, H W image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.capture.layout import Capture
+from telewide.geometry.stereo import FloatMap
+
+Points = NDArray[np.float64]
+_REMAP_LIMIT = 32000
+"""cv2.remap refuses longer columns."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """One capture with the matches kept for judging.
+
+    Attributes:
+        capture: corrected pair.
+        ref_px: (N, 2) points (x, y) of tele.
+        disparity_px: (N,) ``x_tele - x_wide`` of the matches.
+    """
+
+    capture: Capture
+    ref_px: Points
+    disparity_px: NDArray[np.float64]
+
+    def beyond(self, x_px: float) -> HeldOut:
+        """The matches right of a column of tele."""
+        kept = self.ref_px[:, 0] >= x_px
+        return HeldOut(self.capture, self.ref_px[kept], self.disparity_px[kept])
+
+
+def match_errors_px(disparity_px: FloatMap, held_out: HeldOut) -> NDArray[np.float64]:
+    """Absolute error of a disparity map at the matches, bilinear in between.
+
+    Args:
+        disparity_px: (H, W) of tele, filled everywhere.
+        held_out: N matches of the same pair.
+
+    Returns:
+        (N,) px.
+    """
+    xy = held_out.ref_px.astype(np.float32)[:_REMAP_LIMIT]
+    if not len(xy):
+        return np.empty(0)
+    sampled = cv2.remap(disparity_px, xy[:, :1], xy[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.abs(sampled[:, 0].astype(np.float64) - held_out.disparity_px[:_REMAP_LIMIT])
+
+
+def summarise_errors(errors_px: NDArray[np.float64]) -> dict[str, float]:
+    """Shares of matches off by more than 1 and 3 px, and the mean error; NaN without matches."""
+    if not errors_px.size:
+        return {"off_1px": math.nan, "off_3px": math.nan, "mean_px": math.nan, "matches": 0.0}
+    return {
+        "off_1px": float((errors_px > 1).mean()),
+        "off_3px": float((errors_px > 3).mean()),
+        "mean_px": float(errors_px.mean()),
+        "matches": float(errors_px.size),
+    }

@@ -1,0 +1,119 @@
+"""The report page of a run: pictures of every capture, its numbers, the course of the training, and what to do next."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+
+from telewide.capture.images import read_image
+from telewide.capture.pair import RectifiedPair
+from telewide.capture.rundir import RunFolder
+from telewide.output.report import Curve, NextStep, ReportRow, thumbnail, write_report
+
+LOG_NAME = "log.jsonl"
+
+
+def report_row(pair: RectifiedPair, folder: Path, *, root: Path, numbers: Mapping[str, float]) -> ReportRow:
+    """The line of one capture: its photos, preview and bokeh, and its numbers.
+
+    Args:
+        pair: the two photos.
+        folder: where its depth was written.
+        root: folder of the report, which links lead from.
+        numbers: as the pipeline gives them.
+    """
+    pictures = [thumbnail("wide", pair.wide), thumbnail("tele", pair.tele)]
+    for label, name in (("disparity", "preview.png"), ("bokeh", "bokeh.jpg")):
+        path = folder / name
+        if path.is_file():
+            pictures.append(thumbnail(label, read_image(path), link=_link(path, root)))
+    return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
+
+
+def write_page(run: RunFolder, rows: Iterable[ReportRow], *, recipe: str, captures: Path) -> Path:
+    """Write ``report.html`` of a run.
+
+    Args:
+        run: its folder.
+        rows: the captures.
+        recipe: description of the recipe.
+        captures: folder of the captures, for the commands it names.
+
+    Returns:
+        Path of the page.
+    """
+    steps = (
+        NextStep(
+            "Train longer, for better depth:", f"telewide train {captures} --recipe default --out {run.root}-default"
+        ),
+        NextStep(
+            "Focus elsewhere, by a point of the tele photo:",
+            f"telewide depth {captures} --run {run.root} --bokeh --focus 120,80",
+        ),
+        NextStep("Your own photos:", "telewide run my-captures/"),
+    )
+    return write_report(
+        run.root / "report.html",
+        tuple(rows),
+        title="Depth and bokeh from a wide and a tele lens",
+        summary=recipe,
+        curves=training_curves(run.train / LOG_NAME),
+        next_steps=steps,
+        facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
+    )
+
+
+def training_curves(log: Path) -> tuple[Curve, ...]:
+    """Curves of the loss and of the judge, read from a training log; none where there is no log."""
+    if not log.is_file():
+        return ()
+    entries = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    starts = _stage_starts(entries)
+    marks = [(float(start), name) for name, start in starts.items()]
+
+    def curve(label: str, points: list[tuple[float, float]]) -> Curve:
+        return Curve(label, [x for x, _ in points], [y for _, y in points], marks)
+
+    losses = [(starts[e["stage"]] + e["step"], sum(e["losses"].values())) for e in entries if "losses" in e]
+    answers = [
+        (starts[e["stage"]] + e["step"], 100 * e["judgement"]["off_1px"])
+        for e in entries
+        if "judgement" in e and e["judgement"]["off_1px"] is not None
+    ]
+    named = (("loss", losses), ("held-out matches off by more than 1 px, %", answers))
+    return tuple(curve(label, points) for label, points in named if points)
+
+
+def _stage_starts(entries: list[dict[str, object]]) -> dict[str, int]:
+    """First step of each stage, counted from the first stage's."""
+    starts: dict[str, int] = {}
+    begun, last = 0, 0
+    for entry in entries:
+        name, step = str(entry["stage"]), int(str(entry["step"]))
+        if name not in starts:
+            begun = begun + last if starts else 0
+            starts[name] = begun
+        last = step
+    return starts
+
+
+def _table_line(numbers: Mapping[str, float]) -> dict[str, float | None]:
+    headings = {
+        "off_1px": ("off by > 1 px, %", 100.0),
+        "off_3px": ("off by > 3 px, %", 100.0),
+        "matches": ("held-out matches", 1.0),
+        "3PE": ("3PE, %", 100.0),
+        "EPE_px": ("EPE, px", 1.0),
+        "match_s": ("matching, s", 1.0),
+    }
+    return {
+        heading: numbers[name] * factor if numbers[name] == numbers[name] else None
+        for name, (heading, factor) in headings.items()
+        if name in numbers
+    }
+
+
+def _link(path: Path, root: Path) -> str | None:
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else None

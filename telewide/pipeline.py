@@ -1,0 +1,429 @@
+"""The whole method, top to bottom: captures in, weights, depth and bokeh out.
+
+    captures ── prepare (correct each shot) ── train (rehearsal ► photometric ► feature-metric stages) ── weights
+                         └────────────────────── match ── follow tele's edges ── depth ── bokeh ── files
+
+Only this module and `prepare` know the run folder. Whoever calls hears of the progress through an :class:`Observer`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from telewide.capture.images import write_image
+from telewide.capture.pair import CaptureFacts, CaptureSet, Problem, find_captures, read_pair, read_truth
+from telewide.capture.rundir import RunFolder, locate_run, write_run_record
+from telewide.correction.held_out import match_errors_px, summarise_errors
+from telewide.correction.inspect import PairReport
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
+from telewide.matching.semiglobal import match_semiglobal
+from telewide.metrics import end_point_error_px, three_pixel_error
+from telewide.options import parse_options
+from telewide.output.bokeh import (
+    focus_disparity,
+    radius_per_px_from_f_number,
+    radius_per_px_from_strength,
+    render_bokeh,
+)
+from telewide.output.depth import depth_result
+from telewide.output.edges import follow_edges
+from telewide.output.export import write_depth
+from telewide.page import report_row, write_page
+from telewide.prepare import PreparedPair, PreparedSet, prepare_captures
+from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+
+if TYPE_CHECKING:
+    from telewide.matching.networks import StereoNetwork
+    from telewide.train import TrainOutcome
+    from telewide.training.stages import Stage
+
+Matcher = Callable[[FloatMap, FloatMap], DisparityMap]
+METHODS = ("network", "sgm")
+DEFAULT_STRENGTH_SHARE = 0.012
+"""Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
+
+
+class Observer(Protocol):
+    """Hears what a pipeline does; its first five are what the training loop tells its reporter."""
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        """A stage of the training begins, or goes on at ``first_step``."""
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        """``step`` steps of the stage are done."""
+
+    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
+        """The held-out matches were asked."""
+
+    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
+        """A stage is done."""
+
+    def said(self, message: str) -> None:
+        """Something worth a line."""
+
+    def preparing(self, captures: CaptureSet) -> None:
+        """The captures of a set are about to be corrected."""
+
+    def pair_prepared(self, report: PairReport | None) -> None:
+        """One capture is corrected, or left out."""
+
+    def set_prepared(self, prepared: PreparedSet) -> None:
+        """All captures are corrected."""
+
+    def labelling(self, total: int) -> Callable[[], None]:
+        """Labels of ``total`` captures are about to be computed; the answer is called after each."""
+
+    def matching(self, total: int, *, method: str) -> None:
+        """``total`` captures are about to be matched."""
+
+    def depth_written(self, outcome: DepthOutcome) -> None:
+        """One capture's depth is written."""
+
+    def depth_failed(self, problem: Problem) -> None:
+        """One capture was skipped."""
+
+
+@dataclass(frozen=True)
+class BokehOptions:
+    """How a bokeh picture is focused and how strongly it is blurred.
+
+    Attributes:
+        focus: "X,Y" in px of the tele photo, near, far or auto.
+        strength_px: radius of the strongest blur, px; None for the default.
+        f_number: of an imitated 50 mm lens; needs the baseline.
+    """
+
+    focus: str = "auto"
+    strength_px: float | None = None
+    f_number: float | None = None
+
+
+@dataclass(frozen=True)
+class DepthOutcome:
+    """What was made of one capture.
+
+    Attributes:
+        name: of the capture.
+        paths: files written.
+        notes: what was left out, and why.
+        numbers: seconds, shares of held-out matches missed, errors against a truth where the set has one.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    notes: tuple[str, ...]
+    numbers: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class DepthRun:
+    """What was made of a set.
+
+    Attributes:
+        folder: where it lies.
+        outcomes: one a capture.
+        problems: captures left out, and why.
+        report: the report page, where one was written.
+    """
+
+    folder: Path
+    outcomes: tuple[DepthOutcome, ...]
+    problems: tuple[Problem, ...]
+    report: Path | None = None
+
+
+@dataclass(frozen=True)
+class DepthOptions:
+    """What ``telewide depth`` was asked for.
+
+    Attributes:
+        method: "network" or "sgm".
+        weights: a weights file, or None for the run's newest.
+        bokeh: None for no bokeh picture.
+        out: folder for the results, or None for ``depth/`` of the run.
+        device: auto, cpu or cuda.
+    """
+
+    method: str = "network"
+    weights: Path | None = None
+    bokeh: BokehOptions | None = None
+    out: Path | None = None
+    device: str = "auto"
+
+
+def train_captures(
+    captures_root: Path, *, run: Path | None, recipe: Recipe, fresh: bool, device: str, observer: Observer
+) -> TrainOutcome:
+    """Train on a folder of captures, or continue.
+
+    Args:
+        captures_root: folder of the captures.
+        run: run folder, or None for the one that belongs to the captures.
+        recipe: resolved recipe.
+        fresh: start over where a training lies in the run folder.
+        device: auto, cpu or cuda.
+        observer: hears of it.
+
+    Returns:
+        What was reached, and where the weights are.
+
+    Raises:
+        TelewideError: see `prepare_captures` and `train_prepared`.
+        KeyboardInterrupt: stopped by hand; a checkpoint is left.
+    """
+    from telewide.matching.inference import choose_device
+    from telewide.train import train_prepared
+    from telewide.training.processes import joined_processes
+
+    torch_device = choose_device(device)
+    folder = locate_run(run, captures_root)
+    begun_s = time.monotonic()
+    with joined_processes(torch_device) as processes:
+        # The writer corrects the pairs; the others find them done.
+        if not processes.is_writer:
+            processes.wait()
+        prepared = _prepare(captures_root, folder, recipe, observer)
+        if processes.is_writer:
+            processes.wait()
+        prepared_s = time.monotonic()
+        outcome = train_prepared(
+            prepared,
+            folder,
+            recipe=recipe,
+            fresh=fresh,
+            device=torch_device,
+            processes=processes,
+            reporter=observer,
+            labelling=observer.labelling,
+        )
+    if is_writer():
+        write_run_record(
+            folder,
+            command="train",
+            options=recipe.model_dump(mode="json"),
+            inputs=_inputs(prepared),
+            timings={"prepare": prepared_s - begun_s, "train": time.monotonic() - prepared_s},
+        )
+    return outcome
+
+
+def depth_captures(
+    captures_root: Path, *, run: Path | None, recipe: Recipe, options: DepthOptions, observer: Observer
+) -> DepthRun:
+    """Compute depth, and bokeh if asked, of every capture of a folder.
+
+    Args:
+        captures_root: folder of the captures.
+        run: run folder, or None for the one that belongs to the captures.
+        recipe: what is corrected, where no weights file says it.
+        options: method, weights, bokeh, place.
+        observer: hears of it.
+
+    Returns:
+        What was written; bad captures are among its problems.
+
+    Raises:
+        InputError: no capture could be used.
+        UsageError: no trained run, or a bokeh that needs a baseline.
+    """
+    folder = locate_run(run, captures_root)
+    matcher_for = _choose_matcher(folder, options)
+    captures = find_captures(captures_root)
+    _check_bokeh(options.bokeh, captures.facts)
+    prepared = _prepare(captures_root, folder, recipe, observer)
+    out = options.out or folder.depth
+    rank, world = rank_and_world()
+    mine = prepared.pairs[rank::world]
+    observer.matching(len(mine), method=options.method)
+    match = matcher_for(prepared)
+    begun_s = time.monotonic()
+    outcomes, problems = [], list(prepared.problems)
+    for item in mine:
+        try:
+            outcome = _depth_of(item, prepared.facts, match, bokeh=options.bokeh, folder=out / item.capture.name)
+        except (InputError, UsageError) as error:
+            problems.append(Problem(item.capture.name, error.message))
+            observer.depth_failed(problems[-1])
+            continue
+        outcomes.append(outcome)
+        observer.depth_written(outcome)
+    if not outcomes and mine:
+        raise InputError(f"{captures_root}: no depth could be computed; {problems[-1].name}: {problems[-1].message}")
+    if is_writer():
+        write_run_record(
+            folder,
+            command="depth",
+            options={"method": options.method, "weights": str(options.weights or "newest of the run")},
+            inputs=_inputs(prepared),
+            timings={"depth": time.monotonic() - begun_s},
+        )
+    return DepthRun(out, tuple(outcomes), tuple(problems))
+
+
+def run_captures(
+    captures_root: Path, *, run: Path | None, recipe: Recipe, options: DepthOptions, observer: Observer
+) -> DepthRun:
+    """Do what is still to do: train, compute depth and bokeh, write the report page.
+
+    Args:
+        captures_root: folder of the captures.
+        run: run folder, or None for the one that belongs to the captures.
+        recipe: resolved recipe.
+        options: of the depth.
+        observer: hears of it.
+
+    Returns:
+        What was written, with its report.
+
+    Raises:
+        TelewideError: see `train_captures` and `depth_captures`.
+    """
+    folder = locate_run(run, captures_root)
+    train_captures(captures_root, run=folder.root, recipe=recipe, fresh=False, device=options.device, observer=observer)
+    done = depth_captures(captures_root, run=folder.root, recipe=recipe, options=options, observer=observer)
+    captures = {capture.name: capture for capture in find_captures(captures_root).captures}
+    rows = (
+        report_row(
+            read_pair(captures[outcome.name]), done.folder / outcome.name, root=folder.root, numbers=outcome.numbers
+        )
+        for outcome in done.outcomes
+    )
+    page = write_page(folder, rows, recipe=recipe.description, captures=captures_root)
+    return replace(done, report=page)
+
+
+def recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
+    """The recipe a run was trained with, so that its pairs are corrected alike; the default without one.
+
+    Raises:
+        InputError: the run's record is damaged.
+    """
+    path = locate_run(run, captures_root).train / "training.json"
+    if not path.is_file():
+        return load_recipe(DEFAULT_RECIPE)
+    try:
+        return parse_options(Recipe, json.loads(path.read_text())["recipe"], source=str(path), error=InputError)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is damaged", hint="train again with --fresh") from error
+
+
+def _prepare(captures_root: Path, folder: RunFolder, recipe: Recipe, observer: Observer) -> PreparedSet:
+    captures = find_captures(captures_root)
+    observer.preparing(captures)
+    prepared = prepare_captures(captures, folder, recipe=recipe, tick=observer.pair_prepared)
+    observer.set_prepared(prepared)
+    return prepared
+
+
+def _choose_matcher(folder: RunFolder, options: DepthOptions) -> Callable[[PreparedSet], Matcher]:
+    """Say at once, before any photo is read, when there is nothing to match with."""
+    if options.method == "sgm":
+        return lambda prepared: lambda ref, src: match_semiglobal(ref, src, window=prepared.window)
+    from telewide.matching.inference import choose_device, match_with_network
+    from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
+
+    path = options.weights or folder.train / WEIGHTS_NAME
+    if not path.is_file():
+        missing = f"{path} does not exist" if options.weights else f"{folder.root} holds no trained network"
+        raise UsageError(
+            missing,
+            hint="train one with: telewide train captures/   or match at once with: telewide depth --method sgm",
+        )
+    network, card = load_weights(path, device=choose_device(options.device))
+    return lambda _prepared: lambda ref, src: match_with_network(ref, src, network=network, window=card.window)
+
+
+def _check_bokeh(bokeh: BokehOptions | None, facts: CaptureFacts) -> None:
+    if bokeh is not None and bokeh.f_number is not None and facts.baseline_m is None:
+        raise UsageError(
+            "--f-number needs the distance of the two lenses, which captures.yaml does not state",
+            hint="state baseline_m there, or give the blur in pixels with --strength",
+        )
+
+
+def _depth_of(
+    item: PreparedPair, facts: CaptureFacts, match: Matcher, *, bokeh: BokehOptions | None, folder: Path
+) -> DepthOutcome:
+    """Match one pair, bring the result to the photo's own size and edges, and write it."""
+    begun_s = time.monotonic()
+    pair = read_pair(item.capture)
+    working = match(pair.tele, pair.wide)
+    matched_s = time.monotonic()
+    photo = read_pair(item.source, facts=facts).tele
+    disparity = _on_photo(working, photo)
+    result = depth_result(item.source.name, disparity, facts=facts)
+    written = write_depth(folder, result, image=photo)
+    paths = list(written.paths)
+    if bokeh is not None:
+        paths.append(folder / "bokeh.jpg")
+        write_image(paths[-1], bokeh_picture(photo, disparity, options=bokeh, baseline_m=facts.baseline_m))
+    numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s}
+    numbers |= summarise_errors(match_errors_px(working.disparity_px, item.held_out))
+    truth_px = read_truth(item.source, hw=disparity.disparity_px.shape[:2])
+    if truth_px is not None:
+        numbers["3PE"] = three_pixel_error(disparity.disparity_px, truth_px)
+        numbers["EPE_px"] = end_point_error_px(disparity.disparity_px, truth_px)
+    return DepthOutcome(item.source.name, tuple(paths), written.notes, numbers)
+
+
+def _on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
+    """Bring a map to the photo's size, and its edges to the photo's edges."""
+    wh = (photo.shape[1], photo.shape[0])
+    disparity_px, confidence, valid = working.disparity_px, working.confidence, working.valid
+    if disparity_px.shape != photo.shape[:2]:
+        rows, columns = (
+            np.minimum(np.arange(size) * small // size, small - 1)
+            for size, small in zip(photo.shape[:2], disparity_px.shape, strict=True)
+        )
+        disparity_px = resize_disparity(disparity_px, wh=wh)
+        confidence, valid = confidence[np.ix_(rows, columns)], valid[np.ix_(rows, columns)]
+    followed_px = follow_edges(disparity_px, photo, confidence=confidence, valid=valid)
+    return DisparityMap(followed_px, confidence, valid)
+
+
+def bokeh_picture(
+    photo: FloatMap, disparity: DisparityMap, *, options: BokehOptions, baseline_m: float | None
+) -> FloatMap:
+    """Blur a photo by its disparity.
+
+    Args:
+        photo: (H, W, 3) tele, sRGB.
+        disparity: on the photo.
+        options: focus and strength.
+        baseline_m: distance of the lenses, m; needed for an f-number.
+
+    Returns:
+        (H, W, 3) sRGB.
+    """
+    focus_px = focus_disparity(disparity.disparity_px, disparity.confidence, focus=options.focus)
+    if options.f_number is not None and baseline_m is not None:
+        radius_per_px = radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
+    else:
+        strength_px = options.strength_px
+        if strength_px is None:
+            strength_px = DEFAULT_STRENGTH_SHARE * max(photo.shape[:2])
+        radius_per_px = radius_per_px_from_strength(disparity.disparity_px, focus_px, strength_px=strength_px)
+    return render_bokeh(photo, disparity.disparity_px, focus_disparity_px=focus_px, radius_per_px=radius_per_px)
+
+
+def rank_and_world() -> tuple[int, int]:
+    """This process among those ``torchrun`` started: (rank, world); (0, 1) without it."""
+    return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+
+
+def is_writer() -> bool:
+    """Whether this process writes what is written once."""
+    return rank_and_world()[0] == 0
+
+
+def _inputs(prepared: PreparedSet) -> list[Path]:
+    return [path for item in prepared.pairs for path in (item.source.tele_path, item.source.wide_path)]
