@@ -1,7 +1,7 @@
 """Semi-global matching of two comparable views, without training and without torch.
 
-Every pixel and disparity gets a cost: how the pattern of light and dark around the pixel differs (census, on ref
-blurred a little towards the coarser src), and how the colours differ. Along eight directions the costs are summed with
+Every pixel and disparity gets a cost: how the patterns of light and dark around the two pixels differ (census), and how
+their colours differ. Along eight directions the costs are summed with
 a price on every change of disparity, lower where ref has an edge, and the cheapest disparity wins. Values on which ref
 and src do not agree are replaced from the background beside them, and edges are moved to those of ref.
 ``disparity_px = x_ref - x_src``; the window (d_min, d_max) is in px, d_max itself left out, and may be negative.
@@ -20,25 +20,26 @@ from telewide.matching.filling import fill_background, fill_rows, weighted_media
 
 __all__ = ["fill_background", "match_semiglobal"]
 
+Bytes = NDArray[np.uint8]
 CostVolume = NDArray[np.uint16]
 
 _MIN_LEVELS = 4
-# Costs are in units of the dearest match, held as whole multiples of 1 / _UNIT.
-_UNIT = 100
-_CENSUS_SHARE = 0.8  # of a cost; the rest is colour
+# Costs are in levels of colour, of 255, added up over the three channels.
+_BIT_COST = 30  # of a census bit that differs
 _CENSUS_STEP_PX = 3
-_COLOUR_LIMIT = 20 / 255
-_OUTSIDE_COST = 0.35  # where src ends: dearer than most right matches, cheaper than most wrong ones
-_COST_BLOCK_PX = 3
-_REF_BLUR_PX = 1.0
-_SMALL_CHANGE = 0.6  # price of a change by one level along a path
-_LARGE_CHANGE = 10.0  # price of a larger one where ref is even ...
-_LEAST_LARGE_CHANGE = 1.0  # ... and on its strongest edges
-_EDGE_LEVEL = 3 / 255  # the difference between neighbours of ref that halves the price
+_COLOUR_LIMIT = 60
+_OUTSIDE_COST = 105  # where src ends: dearer than most right matches, cheaper than most wrong ones
+_BLUR_PX = 1.0  # of both views: takes noise, steps of 8 bits and part of the difference in sharpness
+_SMALL_CHANGE = 180  # price of a change by one level of disparity along a path
+_LARGE_CHANGE = 3000  # price of a larger one where ref is even ...
+_LEAST_LARGE_CHANGE = 300  # ... and on its strongest edges
+_EDGE = 6  # the difference between neighbours of ref that halves the price
 _BAND_ROWS = 128  # rows swept sideways at once: bounds the memory
 _FORBIDDEN = 20_000  # dearer than any path; leaves room for sums in 16 bits
-_CONSISTENT_PX = 1.0
-_SPECKLE_AREA_PX = 400
+_CONSISTENT_PX = 1.5
+_SPECKLE_SHARE = 0.0025  # of the image, the largest island of disparity that is dropped
+_AGREEMENT_BLOCK_PX = 9
+_MEASURED_CONFIDENCE = 0.25
 
 
 def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> DisparityMap:
@@ -52,14 +53,15 @@ def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -
         window: smallest and largest disparity searched, px; the largest is left out.
 
     Returns:
-        The disparity of ref, filled everywhere. Confidence falls by e with every px by which the two views, or a
-        value and its surroundings, disagree; it is 0 where nothing was measured.
+        The disparity of ref, filled everywhere. Confidence is the mean over a pixel's surroundings of how far values
+        are right by two signs: it falls by e with every px by which the two views disagree, beyond the rounding of
+        src's values, and with every px by which the median moved the value; a value that was replaced counts 0.
 
     Raises:
         ValueError: the views differ in shape, or the window is too small.
     """
     _check_views(ref, src, window=window)
-    total_HDW = _summed_over_paths(_matching_cost(ref, src, window=window), ref)
+    total_HDW = _summed_over_paths(_matching_cost(ref, src, window=window), ref * 255)
     measured_px = _cheapest(total_HDW) + np.float32(window[0])
     src_disparity_px = _cheapest_of_src(total_HDW, window=window)
     del total_HDW
@@ -68,9 +70,9 @@ def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -
     filled_px = fill_rows(np.where(is_consistent, measured_px, np.float32(np.nan)))
     disparity_px = weighted_median(filled_px, ref)
     moved_px = np.abs(disparity_px - measured_px)
-    valid = is_consistent & (moved_px <= _CONSISTENT_PX)
-    confidence = np.where(valid, np.exp(-difference_px - moved_px), 0).astype(np.float32)
-    return DisparityMap(disparity_px, confidence, valid)
+    agreement = np.where(is_consistent, np.exp(-np.maximum(difference_px - 0.5, 0) - moved_px), np.float32(0))
+    confidence = cv2.blur(agreement, (_AGREEMENT_BLOCK_PX, _AGREEMENT_BLOCK_PX)).clip(0, 1).astype(np.float32)
+    return DisparityMap(disparity_px, confidence, confidence >= _MEASURED_CONFIDENCE)
 
 
 def _check_views(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> None:
@@ -82,25 +84,40 @@ def _check_views(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> No
 
 def _matching_cost(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> CostVolume:
     """Cost of every disparity of every pixel of ref, (H, D, W)."""
-    soft_ref: FloatMap = np.asarray(cv2.GaussianBlur(ref, (0, 0), _REF_BLUR_PX), dtype=np.float32)
-    ref_census, src_census = _census(soft_ref), _census(src)
-    ref_planes, src_planes = np.moveaxis(soft_ref, 2, 0).copy(), np.moveaxis(src, 2, 0).copy()
+    soft_ref, soft_src = (cv2.GaussianBlur(view, (0, 0), _BLUR_PX).astype(np.float32) for view in (ref, src))
+    ref_census, src_census = _census(soft_ref), _census(soft_src)
+    ref_planes, src_planes = _byte_planes(soft_ref), _byte_planes(soft_src)
     height, width = ref.shape[:2]
-    cost_HDW = np.empty((height, window[1] - window[0], width), dtype=np.uint16)
-    block = (_COST_BLOCK_PX, _COST_BLOCK_PX)
+    cost_HDW = np.full((height, window[1] - window[0], width), _OUTSIDE_COST, dtype=np.uint16)
     for level, disparity_px in enumerate(range(*window)):
-        x_src = np.arange(width) - disparity_px
-        inside = (x_src >= 0) & (x_src < width)
-        x_src = np.clip(x_src, 0, width - 1)
-        pattern = np.bitwise_count(ref_census ^ src_census[:, x_src]) * np.float32(_CENSUS_SHARE / 8)
-        colour = sum(np.abs(r - s[:, x_src]) for r, s in zip(ref_planes, src_planes, strict=True)) / 3
-        cost = pattern + np.minimum(colour / _COLOUR_LIMIT, 1) * np.float32(1 - _CENSUS_SHARE)
-        cost[:, ~inside] = _OUTSIDE_COST
-        cost_HDW[:, level] = cv2.blur(cost, block) * _UNIT
+        at_ref, at_src = _overlap(disparity_px, width=width)
+        bits = np.bitwise_count(ref_census[:, at_ref] ^ src_census[:, at_src])
+        planes = zip(ref_planes, src_planes, strict=True)
+        colour = _sum_of_three(*(_absolute_difference(r[:, at_ref], s[:, at_src]) for r, s in planes))
+        cost_HDW[:, level, at_ref] = np.minimum(colour, _COLOUR_LIMIT) + bits * np.uint16(_BIT_COST)
     return cost_HDW
 
 
-def _census(image: FloatMap) -> NDArray[np.uint8]:
+def _byte_planes(image: FloatMap) -> list[Bytes]:
+    levels = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
+    return [levels[..., channel].copy() for channel in range(3)]
+
+
+def _absolute_difference(a: Bytes, b: Bytes) -> Bytes:
+    return np.maximum(a, b) - np.minimum(a, b)
+
+
+def _sum_of_three(a: Bytes, b: Bytes, c: Bytes) -> NDArray[np.uint16]:
+    return np.asarray(np.add(a, b, dtype=np.uint16) + c)
+
+
+def _overlap(disparity_px: int, *, width: int) -> tuple[slice, slice]:
+    """Columns of ref whose partner lies in src, and the columns of those partners."""
+    first, last = max(0, disparity_px), max(0, disparity_px, min(width, width + disparity_px))
+    return slice(first, last), slice(first - disparity_px, last - disparity_px)
+
+
+def _census(image: FloatMap) -> Bytes:
     """Which of eight pixels around each are brighter, a bit for each.
 
     Source: R. Zabih, J. Woodfill, "Non-parametric Local Transforms for Computing Visual Correspondence", ECCV 1994.
@@ -139,23 +156,31 @@ def _sweep(cost_NDM: CostVolume, total_NDM: CostVolume, guide: FloatMap, *, drif
     """
     _, levels, width = cost_NDM.shape
     before_x = np.clip(np.arange(width) - drift, 0, width - 1)
-    small_change = np.uint16(_SMALL_CHANGE * _UNIT)
-    path = np.full((levels + 2, width), _FORBIDDEN, dtype=np.uint16)  # with a level below the first and above the last
-    path[1:-1] = cost_NDM[0]
-    total_NDM[0] += cost_NDM[0]
+    before = np.full((levels + 2, width), _FORBIDDEN, dtype=np.uint16)  # a level more at either end
+    path = cost_NDM[0].copy()
+    total_NDM[0] += path
     for step in range(1, len(cost_NDM)):
-        if drift:
-            path = path[:, before_x]
-        least = path[1:-1].min(axis=0)
-        difference = np.abs(guide[step] - guide[step - 1, before_x]).mean(axis=1)
-        large_change = np.maximum(_LARGE_CHANGE / (1 + difference / _EDGE_LEVEL), _LEAST_LARGE_CHANGE) * _UNIT
-        best = np.minimum(path[:-2], path[2:])
-        best += small_change
-        np.minimum(best, path[1:-1], out=best)
-        np.minimum(best, least + large_change.astype(np.uint16), out=best)
-        best -= least
-        np.add(best, cost_NDM[step], out=path[1:-1])
-        total_NDM[step] += path[1:-1]
+        _shift_columns(path, before[1:-1], by=drift)
+        least = before.min(axis=0)
+        difference = np.abs(guide[step] - guide[step - 1, before_x]).sum(axis=1)
+        large_change = np.maximum(_LARGE_CHANGE / (1 + difference / _EDGE), _LEAST_LARGE_CHANGE).astype(np.uint16)
+        np.minimum(before[:-2], before[2:], out=path)
+        path += np.uint16(_SMALL_CHANGE)
+        np.minimum(path, before[1:-1], out=path)
+        np.minimum(path, least + large_change, out=path)
+        path -= least
+        path += cost_NDM[step]
+        total_NDM[step] += path
+
+
+def _shift_columns(values: CostVolume, out: CostVolume, *, by: int) -> None:
+    """Move columns by -1, 0 or 1; the column left empty repeats its neighbour."""
+    if by == 0:
+        out[:] = values
+    elif by > 0:
+        out[:, 1:], out[:, 0] = values[:, :-1], values[:, 0]
+    else:
+        out[:, :-1], out[:, -1] = values[:, 1:], values[:, -1]
 
 
 def _cheapest(total_HDW: CostVolume) -> FloatMap:
@@ -177,12 +202,11 @@ def _cheapest_of_src(total_HDW: CostVolume, *, window: tuple[int, int]) -> Float
     best = np.full((height, width), np.iinfo(np.uint16).max, dtype=np.uint16)
     disparity_px = np.full((height, width), np.nan, dtype=np.float32)
     for level, candidate_px in enumerate(range(*window)):
-        first, last = max(0, -candidate_px), min(width, width - candidate_px)  # of src, where ref has a pixel
-        if first < last:
-            total = total_HDW[:, level, first + candidate_px : last + candidate_px]
-            is_better = total < best[:, first:last]
-            best[:, first:last][is_better] = total[is_better]
-            disparity_px[:, first:last][is_better] = candidate_px
+        at_ref, at_src = _overlap(candidate_px, width=width)
+        total = total_HDW[:, level, at_ref]
+        is_better = total < best[:, at_src]
+        np.copyto(best[:, at_src], total, where=is_better)
+        np.copyto(disparity_px[:, at_src], np.float32(candidate_px), where=is_better)
     return disparity_px
 
 
@@ -199,5 +223,5 @@ def _cross_difference(ref_disparity_px: FloatMap, src_disparity_px: FloatMap) ->
 def _outside_speckles(disparity_px: FloatMap) -> BoolMap:
     """True outside small islands of disparity."""
     sixteenths = np.clip(np.round(disparity_px * 16), -32000, 32000).astype(np.int16)
-    cv2.filterSpeckles(sixteenths, -32768, _SPECKLE_AREA_PX, 16)
+    cv2.filterSpeckles(sixteenths, -32768, round(_SPECKLE_SHARE * sixteenths.size), 16)
     return np.asarray(sixteenths != -32768)
