@@ -6,7 +6,8 @@ Letters: B batch, C channels, H W image.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ CONTEXT_PX = 192
 MAX_TILE_PIXELS = 2_500_000
 AGREEMENT_PX = 3.0
 """Difference of the two views' disparities at which agreement has fallen to nothing."""
+_may_use_bf16: ContextVar[bool] = ContextVar("may_use_bf16", default=True)
 
 
 def choose_device(name: str) -> torch.device:
@@ -43,9 +45,19 @@ def choose_device(name: str) -> torch.device:
     return torch.device("cuda" if has_cuda and name != "cpu" else "cpu")
 
 
+@contextmanager
+def full_precision() -> Iterator[None]:
+    """Compute in float32 within the block, also where bf16 is faster."""
+    token = _may_use_bf16.set(False)
+    try:
+        yield
+    finally:
+        _may_use_bf16.reset(token)
+
+
 def low_precision(device: torch.device) -> AbstractContextManager[object]:
-    """Autocast to bf16 where the device computes in it, and do nothing elsewhere."""
-    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=has_fast_bf16(device))
+    """Autocast to bf16 where the device computes in it, and do nothing elsewhere or within :func:`full_precision`."""
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=_may_use_bf16.get() and has_fast_bf16(device))
 
 
 def has_fast_bf16(device: torch.device) -> bool:
