@@ -1,7 +1,8 @@
 """Grids, warps and convex upsampling: everything that says where a pixel lies.
 
 Pixel (0, 0) is the centre of the top-left pixel and ``align_corners=False`` throughout, so a view resized by s has
-``x' = (x + 0.5) s - 0.5``. ``disparity_px = x_ref - x_src``. Grids and warps are float32 whatever the autocast.
+``x' = (x + 0.5) s - 0.5``. ``disparity_px = x_ref - x_src``. Grids and warps are float32 or better whatever
+the autocast.
 Letters: B batch, C channels, H W image.
 """
 
@@ -15,18 +16,19 @@ from torch.nn import functional
 def warp_to_ref(src_BCHW: Tensor, disparity_px_BHW: Tensor) -> Tensor:
     """Look src up where ref's pixels lie in it: ``warped(x, y) = src(x - d, y)``.
 
-    Bilinear; zero outside src. The warp by a disparity of zero is exact.
+    Bilinear; zero outside src. Whole disparities are exact to rounding: 1e-7 of the width, in px.
 
     Args:
         src_BCHW: (B, C, H, W) source view.
         disparity_px_BHW: (B, H, W) disparity of ref, px of this map.
 
     Returns:
-        (B, C, H, W) float32, the source view as ref sees it.
+        (B, C, H, W) the source view as ref sees it.
     """
+    src = at_least_float32(src_BCHW)
     return functional.grid_sample(
-        src_BCHW.float(),
-        _lookup_grid(disparity_px_BHW.float()),
+        src,
+        _lookup_grid(at_least_float32(disparity_px_BHW)).to(src.dtype),
         mode="bilinear",
         padding_mode="zeros",
         align_corners=False,
@@ -41,6 +43,11 @@ def _lookup_grid(disparity_px_BHW: Tensor) -> Tensor:
     grid_x = (2 * (x_px - disparity_px_BHW) + 1) / width - 1
     grid_y = ((2 * y_px + 1) / height - 1)[:, None].expand_as(disparity_px_BHW)
     return torch.stack((grid_x, grid_y), dim=-1)
+
+
+def at_least_float32(x: Tensor) -> Tensor:
+    """Lift low precision to float32; float64, in which gradients are checked, stays."""
+    return x if x.dtype == torch.float64 else x.float()
 
 
 def is_inside_src(disparity_px_BHW: Tensor) -> Tensor:

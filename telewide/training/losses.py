@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from telewide.matching.sampling import warp_to_ref
+from telewide.matching.sampling import at_least_float32, warp_to_ref
 from telewide.matching.volume import expect_disparity_at_mode, shear_to_src
 from telewide.matching.window import VOLUME_STEP_PX, Window
 
@@ -63,7 +63,7 @@ def reconstruction_difference(target_BCHW: Tensor, warped_BCHW: Tensor, *, alpha
     Returns:
         (B, H - 2, W - 2): the border pixels, which have no whole window, are left out.
     """
-    target, warped = _at_least_float32(target_BCHW), _at_least_float32(warped_BCHW)
+    target, warped = at_least_float32(target_BCHW), at_least_float32(warped_BCHW)
     absolute = (target - warped).abs()[..., 1:-1, 1:-1]
     return (absolute + alpha * (1 - ssim(target, warped))).mean(dim=1)
 
@@ -95,8 +95,8 @@ def feature_metric_loss(target_BCHW: Tensor, warped_BCHW: Tensor, *, mask_BHW: T
         mask_BHW: (B, h, w) bool, on the grid of the features.
         alpha: weight of the structural part.
     """
-    target = functional.normalize(_at_least_float32(target_BCHW), dim=1, eps=1e-4)
-    warped = functional.normalize(_at_least_float32(warped_BCHW), dim=1, eps=1e-4)
+    target = functional.normalize(at_least_float32(target_BCHW), dim=1, eps=1e-4)
+    warped = functional.normalize(at_least_float32(warped_BCHW), dim=1, eps=1e-4)
     return _masked(reconstruction_difference(target, warped, alpha=alpha), mask_BHW[:, 1:-1, 1:-1])
 
 
@@ -107,7 +107,7 @@ def smoothness_loss(disparity_px_BHW: Tensor, ref_BCHW: Tensor) -> Term:
         disparity_px_BHW: (B, H, W) d_L, px.
         ref_BCHW: (B, 3, H, W) I_L in [0, 1]; gradients are means over the channels.
     """
-    disparity, ref = _at_least_float32(disparity_px_BHW), _at_least_float32(ref_BCHW)
+    disparity, ref = at_least_float32(disparity_px_BHW), at_least_float32(ref_BCHW)
     weight_x = torch.exp(-(ref[..., 1:] - ref[..., :-1]).abs().mean(dim=1))
     weight_y = torch.exp(-(ref[..., 1:, :] - ref[..., :-1, :]).abs().mean(dim=1))
     step_x = (disparity[..., 1:] - disparity[..., :-1]).abs()
@@ -119,8 +119,9 @@ def smoothness_loss(disparity_px_BHW: Tensor, ref_BCHW: Tensor) -> Term:
 def supervised_loss(disparity_px_BHW: Tensor, truth_px_BHW: Tensor) -> Term:
     """Smooth L1 where the truth is known; NaN elsewhere."""
     known = truth_px_BHW.isfinite()
+    disparity_px = at_least_float32(disparity_px_BHW)
     difference = functional.smooth_l1_loss(
-        disparity_px_BHW.float(), torch.where(known, truth_px_BHW, disparity_px_BHW.detach().float()), reduction="none"
+        disparity_px, torch.where(known, truth_px_BHW, disparity_px.detach()), reduction="none"
     )
     return _masked(difference, known)
 
@@ -143,7 +144,7 @@ def distribution_loss(logits_BDHW: Tensor, truth_px_BHW: Tensor, *, window: Wind
     spread = (1 - (torch.where(known, position, -9.0)[:, None] - index).abs()).clamp(min=0)
     target = functional.avg_pool2d(spread, VOLUME_STEP_PX)
     mass = target.sum(dim=1)
-    cross_entropy = -(target * logits_BDHW.float().log_softmax(dim=1)).sum(dim=1)
+    cross_entropy = -(target * at_least_float32(logits_BDHW).log_softmax(dim=1)).sum(dim=1)
     return Term(cross_entropy.sum(), mass.sum())
 
 
@@ -169,7 +170,3 @@ def visible_mask(logits_BDHW: Tensor, *, window: Window, tolerance_px: float = V
 def _masked(difference_BHW: Tensor, mask_BHW: Tensor) -> Term:
     mask = mask_BHW.to(difference_BHW.dtype)
     return Term((difference_BHW * mask).sum(), mask.sum())
-
-
-def _at_least_float32(x: Tensor) -> Tensor:
-    return x if x.dtype == torch.float64 else x.float()
