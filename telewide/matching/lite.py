@@ -4,8 +4,9 @@
                                           └─ thin concatenation ────────────┴─ hourglass ─ mode expectation (1/4)
     ─ convex upsampling (1/2) ─ one refinement against the warped guide ─ convex upsampling (1/1)
 
-There is no normalisation layer: a network this shallow trains without, each convolution costs half, a tile sees what
-the whole image would, and gradients do not depend on how a batch is split. Residual branches start at zero.
+Widths are multiples of 16, which processors and GPUs compute in. There is no normalisation layer: a network this
+shallow trains without, each convolution costs half, a tile sees what the whole image would, and gradients do not depend
+on how a batch is split. Residual branches start at zero.
 Letters: B batch, C channels, G groups, D planes, H W grid at hand.
 """
 
@@ -20,11 +21,11 @@ from telewide.matching.volume import concatenate_views, correlate_groups, expect
 from telewide.matching.window import VOLUME_STEP_PX, Window
 
 GUIDE_CHANNELS = 16
-MATCH_CHANNELS = 48
+MATCH_CHANNELS = 32
 CORRELATION_GROUPS = 8
-THIN_CHANNELS = 6
+THIN_CHANNELS = 4
 VOLUME_CHANNELS = 16
-REFINE_CHANNELS = 32  # a multiple of 16: oneDNN's bf16 kernels write out of bounds at 24 with dilation 3 and more
+REFINE_CHANNELS = 16
 DISPARITY_SCALE_PX = 16.0
 """Disparities enter the refinement as fractions of this, so that they have the size of the features."""
 
@@ -53,10 +54,16 @@ class LiteFeatures(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.stem = nn.Sequential(_conv2d(3, GUIDE_CHANNELS, stride=2), nn.ReLU(), _Residual2d(GUIDE_CHANNELS))
-        self.quarter = nn.Sequential(_conv2d(GUIDE_CHANNELS, 32, stride=2), nn.ReLU(), _Residual2d(32), _Residual2d(32))
-        self.eighth = nn.Sequential(_conv2d(32, 48, stride=2), nn.ReLU(), _Residual2d(48), _Residual2d(48))
-        self.sixteenth = nn.Sequential(_conv2d(48, 64, stride=2), nn.ReLU(), _Residual2d(64), _Residual2d(64))
+        self.stem = nn.Sequential(
+            _conv2d(3, GUIDE_CHANNELS, stride=2), nn.ReLU(inplace=True), _Residual2d(GUIDE_CHANNELS)
+        )
+        self.quarter = nn.Sequential(
+            _conv2d(GUIDE_CHANNELS, 32, stride=2), nn.ReLU(inplace=True), _Residual2d(32), _Residual2d(32)
+        )
+        self.eighth = nn.Sequential(_conv2d(32, 48, stride=2), nn.ReLU(inplace=True), _Residual2d(48), _Residual2d(48))
+        self.sixteenth = nn.Sequential(
+            _conv2d(48, 64, stride=2), nn.ReLU(inplace=True), _Residual2d(64), _Residual2d(64)
+        )
         self.eighth_from_sixteenth = nn.Conv2d(64, 48, 1)
         self.quarter_from_eighth = nn.Conv2d(48, 32, 1)
         self.fuse_eighth = _Residual2d(48)
@@ -64,7 +71,7 @@ class LiteFeatures(nn.Module):
         self.head = nn.Conv2d(32, MATCH_CHANNELS, 1)
 
     def forward(self, image_BCHW: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 3, H, W) to (B, 48, H/4, W/4) and (B, 16, H/2, W/2)."""
+        """(B, 3, H, W) to (B, 32, H/4, W/4) and (B, 16, H/2, W/2)."""
         guide = self.stem(image_BCHW)
         quarter = self.quarter(guide)
         eighth = self.eighth(quarter)
@@ -83,14 +90,21 @@ class _Hourglass(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.down1 = nn.Sequential(_conv3d(channels, 32, stride=2), nn.ReLU(), _conv3d(32, 32), nn.ReLU())
+        self.down1 = nn.Sequential(
+            _conv3d(channels, 32, stride=2), nn.ReLU(inplace=True), _conv3d(32, 32), nn.ReLU(inplace=True)
+        )
         self.down2 = nn.Sequential(
-            _conv3d(32, 48, stride=2), nn.ReLU(), _conv3d(48, 48), nn.ReLU(), _conv3d(48, 48), nn.ReLU()
+            _conv3d(32, 48, stride=2),
+            nn.ReLU(inplace=True),
+            _conv3d(48, 48),
+            nn.ReLU(inplace=True),
+            _conv3d(48, 48),
+            nn.ReLU(inplace=True),
         )
         self.lift2 = nn.Conv3d(48, 32, 1)
-        self.mix1 = nn.Sequential(_conv3d(32, 32), nn.ReLU())
+        self.mix1 = nn.Sequential(_conv3d(32, 32), nn.ReLU(inplace=True))
         self.lift1 = nn.Conv3d(32, channels, 1)
-        self.mix0 = nn.Sequential(_conv3d(channels, channels), nn.ReLU())
+        self.mix0 = nn.Sequential(_conv3d(channels, channels), nn.ReLU(inplace=True))
 
     def forward(self, x: Tensor) -> Tensor:
         half = self.down1(x)
@@ -110,16 +124,19 @@ class LiteMatching(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.thin = nn.Conv2d(MATCH_CHANNELS, THIN_CHANNELS, 1)
-        self.enter = nn.Sequential(_conv3d(CORRELATION_GROUPS + 2 * THIN_CHANNELS, VOLUME_CHANNELS), nn.ReLU())
+        self.enter = nn.Sequential(
+            _conv3d(CORRELATION_GROUPS + 2 * THIN_CHANNELS, VOLUME_CHANNELS), nn.ReLU(inplace=True)
+        )
         self.hourglass = _Hourglass(VOLUME_CHANNELS)
-        self.leave = _conv3d(VOLUME_CHANNELS, 1)
+        self.leave = nn.Conv3d(VOLUME_CHANNELS, 1, 1)
         # The mean correlation goes straight to the output: training starts at once instead of after a plateau.
         self.correlation_scale = nn.Parameter(torch.tensor(8.0))
         self.up_weights = nn.Sequential(
-            _conv2d(MATCH_CHANNELS + 4 * GUIDE_CHANNELS, 48), nn.ReLU(), nn.Conv2d(48, 9 * 4, 1)
+            _conv2d(MATCH_CHANNELS + 4 * GUIDE_CHANNELS, 32), nn.ReLU(inplace=True), nn.Conv2d(32, 9 * 4, 1)
         )
-        self.refine_enter = _conv2d(2 * GUIDE_CHANNELS + 1, REFINE_CHANNELS)
-        self.refine = nn.Sequential(*(_Residual2d(REFINE_CHANNELS, dilation=dilation) for dilation in (1, 2, 4, 1)))
+        self.refine_views = _conv2d(2 * GUIDE_CHANNELS, REFINE_CHANNELS)
+        self.refine_disparity = _conv2d(1, REFINE_CHANNELS)
+        self.refine = nn.Sequential(*(_Residual2d(REFINE_CHANNELS, dilation=dilation) for dilation in (1, 2, 4)))
         self.refine_residual = _conv2d(REFINE_CHANNELS, 1)
         self.refine_weights = nn.Conv2d(REFINE_CHANNELS, 9 * 4, 1)
         nn.init.zeros_(self.refine_residual.weight)
@@ -153,7 +170,8 @@ class LiteMatching(nn.Module):
         warped = warp_to_ref(src_guide, start_px / 2).to(ref_guide.dtype)
         centre_px = (window[0] + window[1]) / 2
         scaled = ((start_px - centre_px) / DISPARITY_SCALE_PX)[:, None].to(ref_guide.dtype)
-        hidden = self.refine(functional.relu(self.refine_enter(torch.cat((ref_guide, warped, scaled), dim=1))))
+        entered = self.refine_views(torch.cat((ref_guide, warped), dim=1)) + self.refine_disparity(scaled)
+        hidden = self.refine(functional.relu(entered))
         residual_px = self.refine_residual(hidden)[:, 0].float() * VOLUME_STEP_PX
         return half_px + residual_px, self.refine_weights(hidden)
 

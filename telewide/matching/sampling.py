@@ -71,11 +71,15 @@ def upsample_convex(values_BHW: Tensor, weights_BCHW: Tensor, *, factor: int) ->
         (B, factor H, factor W) float32.
     """
     batch, height, width = values_BHW.shape
-    weights = weights_BCHW.float().view(batch, 9, factor * factor, height, width).softmax(dim=1)
+    weights = weights_BCHW.contiguous().float().view(batch, 9, factor * factor, height, width)
+    # A softmax over the nine neighbours, summed as it goes: the whole is never laid out twice.
+    scores = (weights - weights.amax(dim=1, keepdim=True)).exp()
     padded = functional.pad(values_BHW.float()[:, None], (1, 1, 1, 1), mode="replicate")
-    neighbours = functional.unfold(padded, 3).view(batch, 9, 1, height, width)
-    fine = (weights * neighbours).sum(dim=1)
-    return functional.pixel_shuffle(fine, factor)[:, 0]
+    fine = torch.zeros_like(scores[:, 0])
+    for neighbour in range(9):
+        row, column = divmod(neighbour, 3)
+        fine = torch.addcmul(fine, scores[:, neighbour], padded[..., row : row + height, column : column + width])
+    return functional.pixel_shuffle(fine / scores.sum(dim=1), factor)[:, 0]
 
 
 def pad_to_multiple(image_BCHW: Tensor, *, multiple: int) -> Tensor:

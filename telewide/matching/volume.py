@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
@@ -22,11 +23,9 @@ def plane_disparities_px(window: Window, *, device: torch.device | None = None) 
 def shifted_views(src_BCHW: Tensor, window: Window) -> list[Tensor]:
     """One view of src a plane, ``src(x - k)`` at ref's pixel x, zero outside; D tensors (B, C, H, W)."""
     check_window(window)
-    width = src_BCHW.shape[-1]
-    shifts = range(window[0] // VOLUME_STEP_PX, window[1] // VOLUME_STEP_PX)
-    pad_left, pad_right = max(shifts[-1], 0), max(-shifts[0], 0)
-    padded = functional.pad(src_BCHW, (pad_left, pad_right))
-    return [padded[..., pad_left - shift : pad_left - shift + width] for shift in shifts]
+    width, shifts = src_BCHW.shape[-1], _shifts(window)
+    padded = functional.pad(src_BCHW, (max(shifts[-1], 0), max(-shifts[0], 0)))
+    return [padded[..., first : first + width] for first in _first_columns(shifts)]
 
 
 def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, groups: int) -> Tensor:
@@ -41,19 +40,60 @@ def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, grou
     Returns:
         (B, G, D, H, W) volume.
     """
+    check_window(window)
     ref, src = _unit_groups(ref_BCHW, groups), _unit_groups(src_BCHW, groups)
-    batch, channels, height, width = ref.shape
-    planes = [
-        (ref * shifted).view(batch, groups, channels // groups, height, width).sum(dim=2)
-        for shifted in shifted_views(src, window)
-    ]
-    return torch.stack(planes, dim=2)
+    shifts = _shifts(window)
+    padded = functional.pad(src, (max(shifts[-1], 0), max(-shifts[0], 0)))
+    volume: Tensor = _Correlation.apply(ref, padded, shifts)  # type: ignore[no-untyped-call]
+    return volume.to(ref_BCHW.dtype)
+
+
+def _shifts(window: Window) -> range:
+    """Shift of each plane, px of the feature grid."""
+    return range(window[0] // VOLUME_STEP_PX, window[1] // VOLUME_STEP_PX)
+
+
+class _Correlation(torch.autograd.Function):
+    """Inner products over K channels at every shift, added up in place: several times faster than product and sum.
+
+    ref is (B, G, K, H, W); src is padded to (B, G, K, H, W + P); the result is (B, G, D, H, W).
+    """
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, ref: Tensor, padded: Tensor, shifts: range) -> Tensor:
+        ctx.save_for_backward(ref, padded)
+        ctx.shifts = shifts  # type: ignore[attr-defined]
+        batch, groups, channels, height, width = ref.shape
+        volume = ref.new_zeros((batch, groups, len(shifts), height, width))
+        for plane, first in enumerate(_first_columns(shifts)):
+            for channel in range(channels):
+                volume[:, :, plane].addcmul_(ref[:, :, channel], padded[:, :, channel, :, first : first + width])
+        return volume
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, *grads: Tensor) -> tuple[Tensor, Tensor, None]:
+        ref, padded = ctx.saved_tensors  # type: ignore[attr-defined]
+        grad_ref, grad_padded = torch.zeros_like(ref), torch.zeros_like(padded)
+        width = ref.shape[-1]
+        for plane, first in enumerate(_first_columns(ctx.shifts)):  # type: ignore[attr-defined]
+            grad = grads[0][:, :, plane, None]
+            seen = slice(first, first + width)
+            grad_ref.addcmul_(grad, padded[..., seen])
+            grad_padded[..., seen].addcmul_(grad, ref)
+        return grad_ref, grad_padded, None
+
+
+def _first_columns(shifts: range) -> list[int]:
+    """Column of the padded src under ref's column 0, at each shift."""
+    return [max(shifts[-1], 0) - shift for shift in shifts]
 
 
 def _unit_groups(features_BCHW: Tensor, groups: int) -> Tensor:
+    """(B, G, K, H, W), each group of K channels of length 1; float32 at least."""
     batch, channels, height, width = features_BCHW.shape
     grouped = features_BCHW.reshape(batch, groups, channels // groups, height, width)
-    return functional.normalize(grouped.float(), dim=2, eps=1e-4).to(features_BCHW.dtype).flatten(1, 2)
+    precise = grouped if grouped.dtype == torch.float64 else grouped.float()
+    return functional.normalize(precise, dim=2, eps=1e-4).contiguous()
 
 
 def concatenate_views(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window) -> Tensor:
@@ -102,7 +142,7 @@ def shear_to_src(logits_BDHW: Tensor, *, window: Window) -> Tensor:
     It gives the source view's disparity, and so the left-right check, without a second pass of the network.
     """
     width = logits_BDHW.shape[-1]
-    shifts = range(window[0] // VOLUME_STEP_PX, window[1] // VOLUME_STEP_PX)
+    shifts = _shifts(window)
     pad_left, pad_right = max(-shifts[0], 0), max(shifts[-1], 0)
     padded = functional.pad(logits_BDHW.float(), (pad_left, pad_right), value=-1e4)
     return torch.stack(
