@@ -308,18 +308,21 @@ class _LoggedReporter:
     record: TrainingRecord
     is_writer: bool
     _sums: dict[str, float] = field(default_factory=dict)
+    _n_summed: int = 0
 
     def stage_started(self, stage: Stage, *, first_step: int) -> None:
-        self._sums.clear()
+        self._forget_sums()
         self.inner.stage_started(stage, first_step=first_step)
 
     def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
         for name, value in losses.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value / LOG_EVERY_STEPS
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self._n_summed += 1
         if step % LOG_EVERY_STEPS == 0:
-            rounded = {name: round(value, 5) for name, value in self._sums.items()}
+            # Fewer steps than usual after a resumption in between.
+            rounded = {name: round(value / self._n_summed, 5) for name, value in self._sums.items()}
             self._log(stage, step, {"losses": rounded, "seconds": round(seconds, 3)})
-            self._sums.clear()
+            self._forget_sums()
         self.inner.step_done(stage, step=step, losses=losses, seconds=seconds)
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
@@ -335,6 +338,10 @@ class _LoggedReporter:
 
     def said(self, message: str) -> None:
         self.inner.said(message)
+
+    def _forget_sums(self) -> None:
+        self._sums.clear()
+        self._n_summed = 0
 
     def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
         if not self.is_writer:

@@ -10,6 +10,7 @@ Both kinds are safe to open: safetensors holds tensors and text, ``state.pt`` is
 from __future__ import annotations
 
 import copy
+import io
 import json
 import pickle
 from collections.abc import Mapping
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import nn
 
 from telewide.capture.rundir import replacing
@@ -86,8 +87,11 @@ def save_state(state: TrainingState, path: Path) -> None:
         "is_finished": state.is_finished,
         "best_stage": state.best_stage,
     }
+    # Written by Python: torch does not say that a disk is full.
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
     with replacing(path) as temporary:
-        torch.save(content, temporary)
+        temporary.write_bytes(buffer.getbuffer())
 
 
 def load_state(path: Path, *, network_name: str, device: torch.device) -> TrainingState:
@@ -147,8 +151,9 @@ def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> No
         "training": json.dumps(card.training),
     }
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    content = save(tensors, metadata=metadata)
     with replacing(path) as temporary:
-        save_file(tensors, temporary, metadata=metadata)
+        temporary.write_bytes(content)
 
 
 def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, WeightsCard]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -24,7 +27,7 @@ class StepBatches(Dataset[Batch]):
         source: captures, labels, sizes.
         stage: how many crops of which kind.
         seed: of the run.
-        rank: this process; it makes every ``world``-th crop of the joint batch.
+        rank: this process; it makes every ``world``-th crop of the joint batch, rehearsed crops before real ones.
         world: number of processes.
     """
 
@@ -37,18 +40,22 @@ class StepBatches(Dataset[Batch]):
 
     def __getitem__(self, step: int) -> Batch:
         options = self._stage.options
+        mine = range(self._rank, options.rehearsed + options.captured, self._world)
         rehearsed = [
             rehearse(self._source, rng=self._generator(step, _REHEARSED, crop))
-            for crop in self._mine(options.rehearsed)
+            for crop in mine
+            if crop < options.rehearsed
         ]
         captured = [
-            crop_capture(self._source, rng=self._generator(step, _CAPTURED, crop), may_swap=options.swaps_views)
-            for crop in self._mine(options.captured)
+            crop_capture(
+                self._source,
+                rng=self._generator(step, _CAPTURED, crop - options.rehearsed),
+                may_swap=options.swaps_views,
+            )
+            for crop in mine
+            if crop >= options.rehearsed
         ]
         return collate([*rehearsed, *captured], n_rehearsed=len(rehearsed))
-
-    def _mine(self, count: int) -> range:
-        return range(self._rank, count, self._world)
 
     def _generator(self, *salt: int) -> np.random.Generator:
         return generator_for(self._seed, self._stage.index, *salt)
@@ -76,7 +83,21 @@ def iterate_batches(dataset: StepBatches, *, first_step: int, workers: int) -> I
         # A forked process inherits OpenCV's locks without the threads that hold them, and waits for ever.
         multiprocessing_context="spawn" if workers else None,
     )
-    yield from loader
+    with _interrupts_ignored():  # which worker processes inherit: Ctrl-C is answered by this process alone
+        batches = iter(loader)
+    yield from batches
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 def _one_thread_each(_: int) -> None:

@@ -17,7 +17,7 @@ from typing import Protocol
 
 import torch
 
-from telewide.errors import TelewideError
+from telewide.errors import TelewideError, UsageError
 from telewide.matching.inference import low_precision
 from telewide.matching.networks import StereoNetwork, standardise
 from telewide.matching.window import Window
@@ -116,9 +116,11 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
 
     Raises:
         KeyboardInterrupt: asked to stop; the state has been saved.
+        UsageError: more processes than crops in a step.
         TelewideError: the loss is not finite; the last good checkpoint is kept.
     """
     plan = plan_stages(training.options)
+    _check_processes(plan, training.processes)
     while not state.is_finished:
         stage = plan[state.stage_index]
         if state.step == 0:
@@ -127,6 +129,16 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
         _run_stage(training, state, stage, reporter)
         _end_stage(training, state, stage, plan, reporter)
     return state
+
+
+def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
+    for stage in plan:
+        crops = stage.options.rehearsed + stage.options.captured
+        if crops < processes.world:
+            raise UsageError(
+                f"stage {stage.name} has {crops} crops a step, too few for {processes.world} processes",
+                hint=f"start {crops} processes, or set train.{_section(stage)}.rehearsed or .captured higher",
+            )
 
 
 def _begin_stage(state: TrainingState, stage: Stage) -> None:
@@ -140,6 +152,8 @@ def _begin_stage(state: TrainingState, stage: Stage) -> None:
 def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> None:
     processes = training.processes
     dataset = StepBatches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
+    if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
+        return  # stopped by hand just before it was asked
     saved_s = time.monotonic()
     state.network.train()
     with _stop_request() as is_stop_requested:
@@ -148,16 +162,17 @@ def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter:
             losses = take_step(state, batch.to(training.device), stage, training=training)
             state.step += 1
             reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
-            must_stop = processes.is_any(is_stop_requested())
-            if must_stop or time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
+            if processes.is_any(is_stop_requested()):
                 _save(training, state, stage)
-                saved_s = time.monotonic()
-            if must_stop:
                 raise KeyboardInterrupt
-            if state.step % training.options.judge_every_steps == 0 or state.step == stage.options.steps:
+            if _is_judgement_due(training, state, stage):
                 if _is_converged(training, state, stage, reporter):
                     break
                 state.network.train()
+            # After the judgement, which would otherwise be missing from the checkpoint of its own step.
+            if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
+                _save(training, state, stage)
+                saved_s = time.monotonic()
 
 
 def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> dict[str, float]:
@@ -173,7 +188,7 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
         The parts of the loss.
 
     Raises:
-        TelewideError: the loss is not finite; weights are as before the step.
+        TelewideError: the loss or its gradient is not finite; weights are as before the step.
     """
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(stage, step=state.step)
@@ -188,17 +203,24 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
             teacher=state.teacher,
             global_sum=training.processes.global_sum,
         )
-    if training.processes.is_any(not math.isfinite(float(loss.detach()))):
-        raise TelewideError(
-            f"the loss of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
-            hint=f"lower the learning rate: --set train.{_section(stage)}.learning_rate=...",
-        )
+    is_good = math.isfinite(float(loss.detach()))
+    if training.processes.is_any(not is_good):
+        raise _diverged("loss", stage, state)
     torch.autograd.backward(loss)
     training.processes.sum_gradients(state.network)
-    torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT_NORM)
+    norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT_NORM)
+    if not math.isfinite(float(norm)):
+        raise _diverged("gradient", stage, state)
     state.optimiser.step()
     _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
     return parts
+
+
+def _diverged(what: str, stage: Stage, state: TrainingState) -> TelewideError:
+    return TelewideError(
+        f"the {what} of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
+        hint=f"lower the learning rate: --set train.{_section(stage)}.learning_rate=...",
+    )
 
 
 def learning_rate(stage: Stage, *, step: int) -> float:
@@ -217,6 +239,12 @@ def _follow(average: StereoNetwork, network: StereoNetwork, *, decay: float) -> 
     torch._foreach_lerp_(list(average.parameters()), list(network.parameters()), 1 - decay)
     for kept, current in zip(average.buffers(), network.buffers(), strict=True):
         kept.copy_(current)
+
+
+def _is_judgement_due(training: Training, state: TrainingState, stage: Stage) -> bool:
+    every, last = training.options.judge_every_steps, stage.options.steps
+    due = state.step // every + (state.step == last and last % every != 0)
+    return len(state.judgements) < due
 
 
 def _is_converged(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> bool:

@@ -68,20 +68,20 @@ def objective(
         stage: which losses, with which weights.
         window: disparities of the volume, px.
         teacher: frozen extractor of the stage before, in eval mode, where the stage's loss is feature-metric.
-        global_sum: adds a count over all processes; the identity for one.
+        global_sum: adds a tensor up over all processes; the identity for one.
 
     Returns:
-        The scalar to differentiate (this process' share of the sum), and the parts for the log.
+        The scalar to differentiate (this process' share of the sum), and the parts of all processes for the log.
     """
     weighted = _supervised_terms(output, batch, stage, window)
     if stage.options.captured and stage.options.captured_loss != "labels":
         weighted += _captured_terms(output, batch, stage, window, teacher)
-    parts: dict[str, Tensor] = {}
-    for name, weight, term in weighted:
-        share = weight * term.total / global_sum(term.count.detach()).clamp(min=1.0)
-        parts[name] = parts[name] + share if name in parts else share
-    total = torch.stack(list(parts.values())).sum()
-    return total, {name: float(value.detach()) for name, value in parts.items()}
+    counts = global_sum(torch.stack([term.count.detach() for _, _, term in weighted])).clamp(min=1.0)
+    shares = torch.stack([weight * term.total for _, weight, term in weighted]) / counts
+    parts: dict[str, float] = {}
+    for (name, _, _), value in zip(weighted, global_sum(shares.detach()).tolist(), strict=True):
+        parts[name] = parts.get(name, 0.0) + value
+    return shares.sum(), parts
 
 
 Weighted = list[tuple[str, float, Term]]
@@ -90,12 +90,16 @@ Weighted = list[tuple[str, float, Term]]
 def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window: Window) -> Weighted:
     options, n = stage.options, batch.n_rehearsed
     label_weight = options.captured_weight if options.captured_loss == "labels" else options.labels_weight
-    groups = [("rehearsal", slice(0, n), 1.0), ("labels", slice(n, None), label_weight)]
+    groups = [
+        ("rehearsal", slice(0, n), 1.0 if options.rehearsed else 0.0),
+        ("labels", slice(n, None), label_weight if options.captured else 0.0),
+    ]
     terms: Weighted = []
     for name, part, weight in groups:
-        truth_px = batch.truth_px_BHW[part]
-        if not weight or not len(truth_px):
+        # Decided by the stage and not by the batch: every process has the same terms, some of them without crops.
+        if not weight:
             continue
+        truth_px = batch.truth_px_BHW[part]
         # What the volume cannot hold is no lesson.
         truth_px = torch.where((truth_px >= window[0]) & (truth_px < window[1]), truth_px, torch.nan)
         terms.append((name, weight, distribution_loss(output.logits_BDHW[part], truth_px, window=window)))
@@ -133,6 +137,8 @@ def _through_extractor(
     teacher: nn.Module, ref: Tensor, src: Tensor, disparity_px: Tensor, visible: Tensor | None, alpha: float
 ) -> Term:
     """Eq. 5: warp the image first, then extract features of it."""
+    if not len(ref):  # this process has no real crop of the joint batch
+        return Term(disparity_px.sum(), disparity_px.sum())
     with torch.no_grad():
         target = teacher(standardise(ref))[0]
     # Standardised before the warp: the zeros that fall in from outside must not shift the mean.

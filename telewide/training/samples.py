@@ -96,7 +96,7 @@ def rehearse(source: SampleSource, *, rng: np.random.Generator) -> Sample:
     Returns:
         A sample whose truth is known everywhere, behind other objects too.
     """
-    photos = [source.reader.read(_choose(source.captures, rng)).tele for _ in range(_TEXTURE_PHOTOS)]
+    photos = [_seen(source.reader.read(_choose(source.captures, rng)).tele, source) for _ in range(_TEXTURE_PHOTOS)]
     scene = random_scene(rng, hw=source.crop_hw, disparity_window_px=source.window_px, photos=photos)
     pair = render_pair(scene)
     damage = random_degradation(rng, factor=source.asymmetry)
@@ -131,6 +131,15 @@ def _choose(captures: Sequence[Capture], rng: np.random.Generator) -> Capture:
     return captures[int(rng.integers(len(captures)))]
 
 
+def _seen(photo: FloatImage, source: SampleSource) -> FloatImage:
+    first_x, end_x = _seen_columns(photo.shape[1], source)
+    return photo[:, first_x:end_x]
+
+
+def _seen_columns(width: int, source: SampleSource) -> tuple[int, int]:
+    return round(source.area.first * width), round(source.area.end * width)
+
+
 @lru_cache(maxsize=16)
 def _read_labels(path: Path) -> FloatMap:
     return read_pfm(path)
@@ -147,7 +156,7 @@ class _Box:
 def _random_box(hw: tuple[int, ...], source: SampleSource, rng: np.random.Generator) -> _Box:
     """A box of the crop's shape; smaller pictures are enlarged to fill the crop."""
     zoom = float(rng.uniform(*_ZOOM))
-    first_x, end_x = round(source.area.first * hw[1]), round(source.area.end * hw[1])
+    first_x, end_x = _seen_columns(hw[1], source)
     height, width = source.crop_hw[0] / zoom, source.crop_hw[1] / zoom
     fit = min(1.0, hw[0] / height, (end_x - first_x) / width)
     box_h, box_w = max(8, int(height * fit)), max(8, int(width * fit))
