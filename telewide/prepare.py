@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.capture.images import resize_bicubic, write_image, write_pfm
+from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
 from telewide.correction.held_out import HeldOut
@@ -117,7 +117,8 @@ def _prepare_pair(capture: Capture, facts: CaptureFacts, run: RunFolder, recipe:
         return kept
     pair, scale = _at_working_size(read_pair(capture, facts=facts), recipe.working_width_px)
     matches = find_matches(pair.tele, pair.wide)
-    report = inspect_pair(pair, facts=facts, matches=matches)
+    focal_lengths_mm = (focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path))
+    report = inspect_pair(pair, facts=facts, matches=matches, focal_lengths_mm=focal_lengths_mm)
     corrected = correct_pair(
         pair,
         matches=matches,

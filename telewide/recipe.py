@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from telewide.assets import find_asset
 from telewide.errors import UsageError
-from telewide.matching.volume import check_window
+from telewide.matching.window import check_window
 from telewide.options import Options, apply_settings, parse_options
 from telewide.training.options import TrainOptions
 
@@ -83,5 +83,3 @@ def differing_keys(first: Mapping[str, object], second: Mapping[str, object], *,
         elif a != b:
             differing.append(f"{prefix}{key}")
     return differing
-
-

@@ -38,6 +38,8 @@ _PILLOW_FORMATS = ("JPEG", "PNG", "TIFF")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 _TAG_ORIENTATION, _TAG_ICC, _TAG_DNG_VERSION = 274, 34675, 50706
+_IFD_EXIF, _TAG_FOCAL_LENGTH = 0x8769, 0x920A
+_LONGEST_FOCAL_MM = 2000.0
 _EXPORT_HINT = "export it as JPEG, PNG or TIFF"
 # A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
 _SRGB_TOLERANCE = 2
@@ -178,6 +180,23 @@ def resize_bicubic(image: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
         return np.asarray(np.clip(resized, 0, 1), dtype=np.float32)
     channels = [resize_bicubic(np.ascontiguousarray(image[..., i]), wh=wh) for i in range(image.shape[2])]
     return np.stack(channels, axis=-1)
+
+
+def focal_length_mm(path: Path) -> float | None:
+    """Physical focal length that a photo's EXIF states: which of a phone's lenses took it.
+
+    Args:
+        path: a JPEG, PNG or TIFF.
+
+    Returns:
+        mm, or None where the file says nothing believable.
+    """
+    try:
+        with Image.open(path) as photo:
+            value = float(photo.getexif().get_ifd(_IFD_EXIF).get(_TAG_FOCAL_LENGTH, 0))
+    except (OSError, SyntaxError, ValueError, TypeError, ZeroDivisionError, Image.DecompressionBombError):
+        return None
+    return value if 0 < value < _LONGEST_FOCAL_MM else None
 
 
 def _read_bytes(path: Path) -> bytes:

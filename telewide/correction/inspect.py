@@ -105,13 +105,20 @@ class _Finding:
     reason: str
 
 
-def inspect_pair(pair: RectifiedPair, *, facts: CaptureFacts, matches: Matches | None = None) -> PairReport:
+def inspect_pair(
+    pair: RectifiedPair,
+    *,
+    facts: CaptureFacts,
+    matches: Matches | None = None,
+    focal_lengths_mm: tuple[float | None, float | None] = (None, None),
+) -> PairReport:
     """Measure a pair and judge it.
 
     Args:
         pair: the two views, of one size.
         facts: what the owner states about the captures.
         matches: matches already found on this pair; None finds them.
+        focal_lengths_mm: of the lenses of tele and wide as EXIF states them, where it does.
 
     Returns:
         The report; it never raises for a bad pair, it says what is wrong.
@@ -124,7 +131,7 @@ def inspect_pair(pair: RectifiedPair, *, facts: CaptureFacts, matches: Matches |
     findings = [
         *_findings_of_scene(found, overlap),
         *_findings_of_rows(vertical, overlap, facts, height=pair.tele.shape[0]),
-        *_findings_of_sharpness(asymmetry, facts),
+        *_findings_of_sharpness(asymmetry, facts, focal_lengths_mm),
         *_findings_of_colour(ratio),
     ]
     nan = float("nan")
@@ -260,7 +267,9 @@ def _findings_of_overlap(overlap: Overlap, *, height: int) -> list[_Finding]:
     return []
 
 
-def _findings_of_sharpness(asymmetry: float | None, facts: CaptureFacts) -> list[_Finding]:
+def _findings_of_sharpness(
+    asymmetry: float | None, facts: CaptureFacts, focal_lengths_mm: tuple[float | None, float | None]
+) -> list[_Finding]:
     """Whether tele is the sharper view, as its name says."""
     if asymmetry is None:
         return [_Finding("doubtful", "one view has no texture at all")]
@@ -269,6 +278,9 @@ def _findings_of_sharpness(asymmetry: float | None, facts: CaptureFacts) -> list
         text = f"wide is {1 / asymmetry:.1f} times sharper than tele: the views look swapped, or tele is out of focus"
         if stated is not None and stated >= _FINER_STATED:
             return [_Finding("refused", f"{text}; captures.yaml states tele to be {stated:g} times finer")]
+        tele_mm, wide_mm = focal_lengths_mm
+        if tele_mm is not None and wide_mm is not None and tele_mm < wide_mm:
+            return [_Finding("refused", f"{text}; EXIF names {tele_mm:g} mm for tele and {wide_mm:g} mm for wide")]
         return [_Finding("doubtful", text)]
     if stated is not None and not 0.5 < asymmetry / stated < 2.0:
         return [_Finding("usable", f"captures.yaml states an asymmetry of {stated:g}, measured is {asymmetry:.1f}")]

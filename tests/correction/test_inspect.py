@@ -174,3 +174,10 @@ def test_correction_lessens_the_misfit_of_phone_pairs(data_root: Path, name: str
     assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.45
     assert corrected.vertical.residual_before_px > 0.5
     assert corrected.colour.delta_after < 0.5 * corrected.colour.delta_before
+
+
+def test_swapped_views_are_refused_where_exif_contradicts(pair: RectifiedPair) -> None:
+    refused = inspect_pair(swapped(pair), facts=SILENT, focal_lengths_mm=(4.2, 9.0))
+    assert refused.verdict == "refused"
+    assert "4.2 mm for tele" in refused.reasons[-1]
+    assert inspect_pair(swapped(pair), facts=SILENT, focal_lengths_mm=(9.0, 4.2)).verdict == "doubtful"
