@@ -220,7 +220,7 @@ def _training(
         window_px=record.window,
         asymmetry=recipe.train.asymmetry,
         area=area,
-        labels_folder=run.pairs,
+        labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
     )
     judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
     return Training(

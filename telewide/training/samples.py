@@ -78,7 +78,7 @@ class SampleSource:
     asymmetry: tuple[float, float] = (1.0, 6.0)
     area: CropArea = field(default_factory=CropArea)
     labels_folder: Path | None = None
-    reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=256 << 20), compare=False)
+    reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=768 << 20), compare=False)
 
 
 def generator_for(seed: int, *salt: int) -> np.random.Generator:
