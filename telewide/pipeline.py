@@ -44,6 +44,7 @@ from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 if TYPE_CHECKING:
     from telewide.matching.networks import StereoNetwork
     from telewide.train import TrainOutcome
+    from telewide.training.processes import Processes
     from telewide.training.stages import Stage
 
 Matcher = Callable[[FloatMap, FloatMap], DisparityMap]
@@ -188,12 +189,7 @@ def train_captures(
     folder = locate_run(run, captures_root)
     begun_s = time.monotonic()
     with joined_processes(torch_device) as processes:
-        # The writer corrects the pairs; the others find them done.
-        if not processes.is_writer:
-            processes.wait()
-        prepared = _prepare(captures_root, folder, recipe, observer)
-        if processes.is_writer:
-            processes.wait()
+        prepared = _prepare(captures_root, folder, recipe, observer, processes=processes)
         prepared_s = time.monotonic()
         outcome = train_prepared(
             prepared,
@@ -239,7 +235,7 @@ def depth_captures(
     matcher_for = _choose_matcher(folder, options)
     captures = find_captures(captures_root)
     _check_bokeh(options.bokeh, captures.facts)
-    prepared = _prepare(captures_root, folder, recipe, observer)
+    prepared = _prepare_together(captures_root, folder, recipe, observer)
     out = options.out or folder.depth
     rank, world = rank_and_world()
     mine = prepared.pairs[rank::world]
@@ -316,12 +312,29 @@ def recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
         raise InputError(f"{path} is damaged", hint="train again with --fresh") from error
 
 
-def _prepare(captures_root: Path, folder: RunFolder, recipe: Recipe, observer: Observer) -> PreparedSet:
+def _prepare(
+    captures_root: Path, folder: RunFolder, recipe: Recipe, observer: Observer, *, processes: Processes | None = None
+) -> PreparedSet:
+    """Correct the pairs; of several processes the writer does, and the others find them done."""
     captures = find_captures(captures_root)
     observer.preparing(captures)
+    if processes is not None and not processes.is_writer:
+        processes.wait()
     prepared = prepare_captures(captures, folder, recipe=recipe, tick=observer.pair_prepared)
+    if processes is not None and processes.is_writer:
+        processes.wait()
     observer.set_prepared(prepared)
     return prepared
+
+
+def _prepare_together(captures_root: Path, folder: RunFolder, recipe: Recipe, observer: Observer) -> PreparedSet:
+    if rank_and_world()[1] == 1:
+        return _prepare(captures_root, folder, recipe, observer)
+    from telewide.matching.inference import choose_device
+    from telewide.training.processes import joined_processes
+
+    with joined_processes(choose_device("cpu")) as processes:
+        return _prepare(captures_root, folder, recipe, observer, processes=processes)
 
 
 def _choose_matcher(folder: RunFolder, options: DepthOptions) -> Callable[[PreparedSet], Matcher]:

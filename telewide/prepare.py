@@ -60,14 +60,23 @@ class PreparedSet:
     Attributes:
         pairs: sorted by name, never empty.
         facts: what the owner states.
-        window: disparities to search, px at the working size.
+        stated_window: disparities to search that the recipe states, px at the working size; None for measured ones.
         problems: captures left out, and why.
     """
 
     pairs: tuple[PreparedPair, ...]
     facts: CaptureFacts
-    window: Window
+    stated_window: Window | None
     problems: tuple[Problem, ...]
+
+    @property
+    def window(self) -> Window:
+        """Disparities to search: stated, or measured on all pairs.
+
+        Raises:
+            InputError: nothing states them, and there are too few matches to measure them.
+        """
+        return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
 
 
 Tick = Callable[[PairReport | None], None]
@@ -105,8 +114,7 @@ def prepare_captures(captures: CaptureSet, run: RunFolder, *, recipe: Recipe, ti
     if not pairs:
         lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
         raise InputError(f"{captures.root}: no capture can be used{lines}", hint="mend the captures named above")
-    window = recipe.window_px or disparity_window([pair.report for pair in pairs], step_px=VOLUME_STEP_PX)
-    return PreparedSet(tuple(pairs), captures.facts, window, tuple(problems))
+    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems))
 
 
 def _prepare_pair(capture: Capture, facts: CaptureFacts, run: RunFolder, recipe: Recipe) -> PreparedPair:
