@@ -1,0 +1,115 @@
+"""Mixed pixels: a photo's pixel on a depth edge shows two surfaces, and only the front one hides what lies behind.
+
+Along a jump of the blur radius each pixel is split into a front part, whose coverage is where its colour lies between
+the pure colours on either side, and the rear colour beneath it: ``C = front + (1 - coverage) * rear``, kept exactly, so
+that two sharp surfaces give the photo back. Colours are linear light.
+Letters: H W image; N mixed pixels; K pixels of the window around each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.geometry.stereo import BoolMap, FloatMap
+
+FloatArray = NDArray[np.float32]
+
+JUMP_PX = 1.0  # a difference in blur radius that shows
+REACH_PX = 3  # how far pure colours are looked for
+IMPURE_WEIGHT = 1e-3  # where a surface is too thin to have a pure pixel, its own pixels must do
+LARGEST_MISFIT = 0.25  # squared, of the contrast: a colour farther off the line is no mixture of the two
+LEAST_CONTRAST = 1e-5  # squared, of linear light: less tells nothing
+CHUNK = 65536  # mixed pixels split at a time: bounds the memory
+
+
+@dataclass(frozen=True)
+class SplitPixels:
+    """Every pixel as a front part over a rear one; apart from depth edges both are the pixel itself.
+
+    Attributes:
+        front: (H, W, 4) float32, light times coverage, and coverage in [0, 1].
+        front_radius_px: (H, W) float32, signed blur radius of the front part.
+        rear: (H, W, 3) float32, light beneath; where the coverage is 1 it is not seen.
+        rear_radius_px: (H, W) float32.
+    """
+
+    front: FloatArray
+    front_radius_px: FloatMap
+    rear: FloatArray
+    rear_radius_px: FloatMap
+
+
+def split_mixed_pixels(light: FloatArray, radius_px: FloatMap) -> SplitPixels:
+    """Split the pixels along jumps of the blur radius into front and rear.
+
+    Args:
+        light: (H, W, 3) float32, linear light.
+        radius_px: (H, W) float32, signed blur radius, larger is nearer, px.
+
+    Returns:
+        The parts; a pixel that shows one surface alone is its own front and its own rear.
+    """
+    front = np.dstack([light, np.ones(radius_px.shape, np.float32)])
+    front_radius_px, rear, rear_radius_px = radius_px.copy(), light.copy(), radius_px.copy()
+    square = np.ones((3, 3), np.uint8)
+    nearest_px, farthest_px = cv2.dilate(radius_px, square), cv2.erode(radius_px, square)
+    mixed = np.asarray(nearest_px - farthest_px > JUMP_PX)
+    middle_px = np.asarray((nearest_px + farthest_px) / 2, dtype=np.float32)
+    at_y, at_x = np.nonzero(mixed)
+    for start in range(0, len(at_y), CHUNK):
+        at = at_y[start : start + CHUNK], at_x[start : start + CHUNK]
+        front[at], front_radius_px[at], rear[at], rear_radius_px[at] = _split(light, radius_px, mixed, middle_px, at=at)
+    return SplitPixels(front, front_radius_px, rear, rear_radius_px)
+
+
+def _split(
+    light: FloatArray,
+    radius_px: FloatMap,
+    mixed: BoolMap,
+    middle_px: FloatMap,
+    *,
+    at: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Split the N pixels at rows and columns: front (N, 4), its radius (N,), rear (N, 3), its radius (N,)."""
+    height, width = radius_px.shape
+    offset = np.arange(-REACH_PX, REACH_PX + 1)
+    dy, dx = (d.ravel() for d in np.meshgrid(offset, offset, indexing="ij"))
+    index = np.clip(at[0][:, None] + dy, 0, height - 1) * width + np.clip(at[1][:, None] + dx, 0, width - 1)
+    nearby_NK = radius_px.ravel()[index]
+    closeness_K = np.exp(-0.5 * (dx**2 + dy**2)).astype(np.float32)
+    weight_NK = closeness_K * np.where(mixed.ravel()[index], np.float32(IMPURE_WEIGHT), np.float32(1))
+    colour_NK3, middle_N1 = light.reshape(-1, 3)[index], middle_px[at][:, None]
+    is_front_NK = nearby_NK > middle_N1
+    front_N3, front_radius_N = _pure(colour_NK3, nearby_NK, weight_NK * is_front_NK)
+    rear_N3, rear_radius_N = _pure(colour_NK3, nearby_NK, weight_NK * ~is_front_NK)
+    own_N3 = light[at]
+    is_front_N = radius_px[at] > middle_px[at]
+    coverage_N = _coverage(own_N3, front_N3, rear_N3, otherwise=is_front_N)
+    rear_N3 = np.where((coverage_N > 0)[:, None], rear_N3, own_N3)
+    # What is left of the pixel once the rear's share is taken away belongs to the front, whatever its colour.
+    front_N3 = np.maximum(own_N3 - (1 - coverage_N[:, None]) * rear_N3, 0)
+    return np.column_stack([front_N3, coverage_N]), front_radius_N, rear_N3, rear_radius_N
+
+
+def _coverage(own_N3: FloatArray, front_N3: FloatArray, rear_N3: FloatArray, *, otherwise: BoolMap) -> FloatArray:
+    """Share of the front colour in each pixel (N,); all or nothing where the two colours do not tell."""
+    across_N3 = front_N3 - rear_N3
+    contrast_N = (across_N3**2).sum(axis=1)
+    share_N = np.clip(((own_N3 - rear_N3) * across_N3).sum(axis=1) / np.maximum(contrast_N, LEAST_CONTRAST), 0, 1)
+    misfit_N = ((own_N3 - rear_N3 - share_N[:, None] * across_N3) ** 2).sum(axis=1)
+    telling_N = (contrast_N > LEAST_CONTRAST) & (misfit_N < LARGEST_MISFIT * contrast_N)
+    return np.where(telling_N, share_N, otherwise).astype(np.float32)
+
+
+def _pure(colour_NK3: FloatArray, radius_NK: FloatArray, weight_NK: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean colour (N, 3) of the one surface whose pixel weighs most, and the radius (N,) of that pixel."""
+    centre = weight_NK.shape[1] // 2
+    best_N = np.where(weight_NK[:, centre] > 0, centre, weight_NK.argmax(axis=1))  # its own surface, if it is one of it
+    radius_N = radius_NK[np.arange(len(best_N)), best_N]
+    share_NK = weight_NK * (np.abs(radius_NK - radius_N[:, None]) <= JUMP_PX)
+    share_NK /= share_NK.sum(axis=1, keepdims=True)
+    return np.einsum("nk,nkc->nc", share_NK, colour_NK3), radius_N
