@@ -57,7 +57,8 @@ def weighted_median(
     """Take the median over each pixel's surroundings, weighted by likeness in the guide.
 
     The weights are those of the guided filter: the share of values below each whole level is filtered, and the median
-    is where it passes one half, linear within a level. Where two surfaces meet it is a value of one of them.
+    is where it passes one half; the mean of the values within 1 px of it then gives the fraction. Where two surfaces
+    meet the result is a value of one of them.
     Source: Z. Ma, K. He, Y. Wei, J. Sun, E. Wu, "Constant Time Weighted Median Filtering for Stereo Matching and
     Beyond", ICCV 2013.
 
@@ -81,7 +82,11 @@ def weighted_median(
         rise = share[crossing] - share_before[crossing]
         median_px[crossing] = level - 0.5 + (0.5 - share_before[crossing]) / rise
         share_before = share
-    return np.where(np.isnan(median_px), disparity_px, median_px).astype(np.float32)
+    median_px = np.where(np.isnan(median_px), disparity_px, median_px)
+    # An even surface falls into one level, and its fraction is lost: the values near the median bring it back.
+    is_near = (np.abs(disparity_px - median_px) < 1).astype(np.float32)
+    fraction_px = smooth.filter(is_near * (disparity_px - median_px)) / np.maximum(smooth.filter(is_near), 0.5)
+    return np.asarray(median_px + np.clip(fraction_px, -0.5, 0.5), dtype=np.float32)
 
 
 def _last_known(values: FloatMap) -> FloatMap:
