@@ -19,6 +19,7 @@ LAYERS = {
     "options": 0,
     "assets": 0,
     "metrics": 0,
+    "srgb": 0,
     "geometry": 0,
     "capture": 1,
     "simulate": 1,
@@ -35,6 +36,7 @@ LAYERS = {
     "benchmark": 7,
     "progress": 8,
     "cli": 8,
+    "cli_benchmark": 8,
     "__main__": 8,
 }
 MAX_POSITIONAL = 3
@@ -56,7 +58,8 @@ def own_imports(module: Module) -> Iterator[tuple[str, int]]:
 
 def is_torch_allowed(name: str) -> bool:
     """Whether a module may import torch."""
-    return name.split(".")[0] in {"matching", "training", "train"} and name != "matching.semiglobal"
+    is_in_place = name.split(".")[0] in {"matching", "training", "train"} or name == "benchmark.networks"
+    return is_in_place and name != "matching.semiglobal"
 
 
 def layer_findings(module: Module) -> list[str]:

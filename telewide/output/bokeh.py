@@ -16,6 +16,7 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import BoolMap, FloatMap
 from telewide.output.edges import fill_unknown, nearest_known
 from telewide.output.lens import IN_FOCUS_PX, spread_light
+from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FloatImage = NDArray[np.float32]
 
@@ -26,20 +27,6 @@ CONFIDENT = 0.5
 POINT_WINDOW_PX = 2
 SAME_SURFACE_PX = 1.0
 MODE_WIDTH_PX = 1.0
-
-
-def linear_from_srgb(image_srgb: FloatImage) -> FloatImage:
-    """Undo the sRGB curve (IEC 61966-2-1), continued above 1."""
-    low = image_srgb / np.float32(12.92)
-    high = ((np.maximum(image_srgb, 0.0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
-    return np.where(image_srgb <= 0.04045, low, high).astype(np.float32)
-
-
-def srgb_from_linear(image_linear: FloatImage) -> FloatImage:
-    """Inverse of :func:`linear_from_srgb`."""
-    low = image_linear * np.float32(12.92)
-    high = np.float32(1.055) * np.maximum(image_linear, 0.0) ** np.float32(1 / 2.4) - np.float32(0.055)
-    return np.where(image_linear <= 0.0031308, low, high).astype(np.float32)
 
 
 def render_bokeh(

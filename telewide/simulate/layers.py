@@ -21,6 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.srgb import linear_from_srgb, srgb_from_linear
+
 FloatImage = NDArray[np.float32]
 FloatMap = NDArray[np.float32]
 BoolMap = NDArray[np.bool_]
@@ -167,28 +169,7 @@ def render_lens(scene: LayeredScene, *, focus_disparity_px: float, strength: flo
         angle_rad = number * golden_angle_rad
         point = (radius * math.cos(angle_rad), radius * math.sin(angle_rad))
         total += render_view(linear, parallax_xy=point, pivot_px=focus_disparity_px).image
-    return srgb_from_linear((total / samples).astype(np.float32))
-
-
-def linear_from_srgb(image_srgb: FloatImage) -> FloatImage:
-    """Undo the sRGB curve (IEC 61966-2-1).
-
-    Args:
-        image_srgb: float32 in [0, 1].
-
-    Returns:
-        Same shape, linear light in [0, 1].
-    """
-    low = image_srgb / 12.92
-    high = ((np.maximum(image_srgb, 0.0) + 0.055) / 1.055) ** 2.4
-    return np.where(image_srgb <= 0.04045, low, high).astype(np.float32)
-
-
-def srgb_from_linear(image_linear: FloatImage) -> FloatImage:
-    """Apply the sRGB curve; inverse of :func:`linear_from_srgb`, clipped to [0, 1]."""
-    clipped = np.clip(image_linear, 0.0, 1.0)
-    high = 1.055 * clipped ** (1 / 2.4) - 0.055
-    return np.where(clipped <= 0.0031308, 12.92 * clipped, high).astype(np.float32)
+    return srgb_from_linear(np.clip(total / samples, 0.0, 1.0).astype(np.float32))
 
 
 def disparity_range_px(layer: Layer) -> tuple[float, float]:

@@ -13,12 +13,11 @@ from telewide.errors import InputError, UsageError
 from telewide.output import lens
 from telewide.output.bokeh import (
     focus_disparity,
-    linear_from_srgb,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
     render_bokeh,
-    srgb_from_linear,
 )
+from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FOCUSES = {"far": 0.0, "mid": 0.5, "near": 1.0}  # share of the way from the farthest disparity to the nearest
 

@@ -11,8 +11,9 @@ import pytest
 from output.layered_world import World, random_world, reference_world
 
 from telewide.errors import InputError
-from telewide.output.bokeh import render_bokeh, srgb_from_linear
+from telewide.output.bokeh import render_bokeh
 from telewide.output.edges import REACH_PX, ROUNDS, fill_unknown, follow_edges, nearest_known
+from telewide.srgb import srgb_from_linear
 
 SCALE_PX = 24.0  # the worlds' disparities span about 1
 

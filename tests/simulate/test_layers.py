@@ -13,14 +13,13 @@ from telewide.simulate.layers import (
     Layer,
     LayeredScene,
     disparity_range_px,
-    linear_from_srgb,
     render_lens,
     render_pair,
     render_view,
-    srgb_from_linear,
 )
 from telewide.simulate.scene import random_scene
 from telewide.simulate.still_life import still_life
+from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 HW = (48, 96)
 
