@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+# make bench RUNS="run other/run" measures their networks too; TELEWIDE_DATA is where the data sets lie.
+DATA   := $(or $(TELEWIDE_DATA),../shared/data)
+RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
 .PHONY: setup demo test lint bench clean
 
@@ -24,7 +27,13 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 bench: $(STAMP)
-	$(BIN)/telewide benchmark
+	$(BIN)/telewide benchmark speed
+	@if test -d "$(DATA)/middlebury_2006_third"; \
+	then $(BIN)/telewide benchmark middlebury "$(DATA)/middlebury_2006_third" --split test $(RUN_FLAGS); \
+	else echo "no Middlebury 2006 scenes in $(DATA): set TELEWIDE_DATA" >&2; fi
+	@if test -d "$(DATA)/p30"; \
+	then $(BIN)/telewide benchmark matches "$(DATA)/p30" --uncorrected $(RUN_FLAGS); \
+	else echo "no phone pairs in $(DATA): set TELEWIDE_DATA" >&2; fi
 
 clean:
 	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache

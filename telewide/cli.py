@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from telewide.cli_benchmark import benchmark_app
 from telewide.errors import TelewideError, UsageError
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Example: `telewide train captures/`, then `telewide depth --bokeh`.",
 )
+
+app.add_typer(benchmark_app, name="benchmark")
 
 CapturesArgument = Annotated[Path, typer.Argument(help="Folder of the captures.")]
 RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, or a YAML file.")]

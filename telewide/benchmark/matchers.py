@@ -1,0 +1,110 @@
+"""The matchers to compare: semi-global matching, and the networks that lie in run folders and weights files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from telewide.benchmark.memory import SGM
+from telewide.capture.rundir import RunFolder
+from telewide.errors import UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.matching.semiglobal import match_semiglobal
+from telewide.matching.window import Window
+
+if TYPE_CHECKING:
+    from telewide.matching.networks import StereoNetwork
+
+_SUFFIX = ".safetensors"
+_STAGE_ORDER = ("rehearsal", "photometric", "feature")
+
+
+@dataclass(frozen=True)
+class Matcher:
+    """Something that makes disparity of two views.
+
+    Attributes:
+        name: as it stands in tables.
+        match: (ref, src, window) to the disparity of ref.
+        window: what it was trained for, px; None where it was not trained.
+    """
+
+    name: str
+    match: Callable[[FloatMap, FloatMap, Window], DisparityMap]
+    window: Window | None = None
+
+
+def semiglobal_matcher() -> Matcher:
+    """The matcher that needs no training."""
+    return Matcher(SGM, lambda ref, src, window: match_semiglobal(ref, src, window=window))
+
+
+def all_matchers(sources: Sequence[Path], *, device: str) -> list[Matcher]:
+    """Semi-global matching, then every stage of every run in the order of training.
+
+    Args:
+        sources: run folders and weights files.
+        device: auto, cpu or cuda.
+
+    Returns:
+        The matchers; the result of a run is named so, unless a stage before has the very weights.
+
+    Raises:
+        UsageError: a path that does not exist, or a run without weights.
+        InputError: a damaged weights file.
+    """
+    names = [source.resolve().name.removesuffix(_SUFFIX) for source in sources]
+    labels = names if len(set(names)) == len(names) else [str(source) for source in sources]
+    found = [semiglobal_matcher()]
+    for source, label in zip(sources, labels, strict=True):
+        found += _matchers_of(source, label, device=device)
+    return found
+
+
+def _matchers_of(source: Path, label: str, *, device: str) -> list[Matcher]:
+    from telewide.matching.inference import choose_device
+    from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
+
+    torch_device = choose_device(device)
+    if source.is_file():
+        network, card = load_weights(source, device=torch_device)
+        return [_network_matcher(label, network, card.window)]
+    folder = RunFolder(source).train
+    stages = sorted((p for p in folder.glob(f"*{_SUFFIX}") if p.name != WEIGHTS_NAME), key=_position)
+    result = folder / WEIGHTS_NAME
+    if not stages and not result.is_file():
+        raise UsageError(
+            f"{source} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"
+        )
+    loaded = [(path.stem, *load_weights(path, device=torch_device)) for path in stages]
+    if result.is_file():
+        network, card = load_weights(result, device=torch_device)
+        if not any(_is_equal(network, other) for _, other, _ in loaded):
+            loaded.append(("result", network, card))
+    return [_network_matcher(f"{label}/{stage}", network, card.window) for stage, network, card in loaded]
+
+
+def _network_matcher(name: str, network: StereoNetwork, window: Window) -> Matcher:
+    from telewide.matching.inference import match_with_network
+
+    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
+        return match_with_network(ref, src, network=network, window=window)
+
+    return Matcher(name, match, window)
+
+
+def _position(path: Path) -> tuple[int, int, str]:
+    """Where a stage stands in the training: rehearsal, photometric, feature-1, feature-2, then what is not known."""
+    name, _, digits = path.stem.partition("-")
+    rank = _STAGE_ORDER.index(name) if name in _STAGE_ORDER else len(_STAGE_ORDER)
+    return rank, int(digits) if re.fullmatch(r"\d+", digits) else 0, path.stem
+
+
+def _is_equal(network: StereoNetwork, other: StereoNetwork) -> bool:
+    mine, theirs = network.state_dict(), other.state_dict()
+    return mine.keys() == theirs.keys() and all(
+        value.shape == theirs[name].shape and bool((value == theirs[name]).all()) for name, value in mine.items()
+    )

@@ -1,0 +1,132 @@
+"""Real pairs without a truth: how often matchers miss the matches that no fit and no training has seen.
+
+Every matcher gets the same corrected pairs. Matches of all captures tell how a map fits the captures it was trained
+on; those of the captures no training has seen, what a new photo would get.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.benchmark.matchers import Matcher
+from telewide.benchmark.report import BenchmarkReport, markdown_table, number
+from telewide.capture.images import resize_bicubic
+from telewide.capture.pair import CaptureFacts, RectifiedPair, find_captures, read_pair
+from telewide.capture.rundir import RunFolder
+from telewide.correction.held_out import match_errors_px, summarise_errors
+from telewide.matching.window import Window
+from telewide.prepare import PreparedPair, prepare_captures
+from telewide.recipe import Recipe
+
+Errors = NDArray[np.float64]
+UNCORRECTED = "uncorrected"
+ALL, HELD_OUT = "all", "held out"
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A matcher and the pairs it is given.
+
+    Attributes:
+        matcher: what makes the disparity.
+        is_corrected: whether the pairs are corrected.
+    """
+
+    matcher: Matcher
+    is_corrected: bool = True
+
+    @property
+    def name(self) -> str:
+        """As it stands in tables."""
+        return self.matcher.name if self.is_corrected else f"{self.matcher.name}, {UNCORRECTED}"
+
+
+def benchmark_matches(
+    captures_root: Path,
+    entrants: Sequence[Entrant],
+    *,
+    run: RunFolder,
+    recipe: Recipe,
+    tell: Callable[[str], None],
+    trained_runs: Sequence[RunFolder] = (),
+) -> BenchmarkReport:
+    """Judge matchers by the held-out matches of real pairs.
+
+    Args:
+        captures_root: folder of the captures.
+        entrants: what to judge.
+        run: its corrected pairs and their matches are used; they are made where they are missing.
+        recipe: what is corrected.
+        tell: hears how far it is.
+        trained_runs: their records say which captures no training has seen.
+
+    Returns:
+        A row for each entrant and set of captures: all, and those that none of the runs has seen.
+
+    Raises:
+        InputError: no capture can be used.
+    """
+    prepared = prepare_captures(find_captures(captures_root), run, recipe=recipe)
+    unseen, window = _unseen_captures(trained_runs)
+    errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
+    for item in prepared.pairs:
+        tell(f"{item.capture.name}: {len(item.held_out.ref_px)} matches")
+        for entrant in entrants:
+            pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, prepared.facts)
+            searched = entrant.matcher.window or window or prepared.window
+            disparity = entrant.matcher.match(pair.tele, pair.wide, searched)
+            errors_px[entrant.name][item.capture.name] = match_errors_px(disparity.disparity_px, item.held_out)
+    names = [item.capture.name for item in prepared.pairs]
+    sets = {ALL: names, HELD_OUT: [name for name in names if name in unseen]}
+    rows = tuple(
+        _row(entrant.name, label, [errors_px[entrant.name][name] for name in chosen])
+        for label, chosen in sets.items()
+        if chosen
+        for entrant in entrants
+    )
+    notes = [f"{problem.name}: {problem.message}" for problem in prepared.problems]
+    if not sets[HELD_OUT]:
+        notes.append("no capture is known to be unseen by every network, so all matches are of captures trained on")
+    options = {"captures": sets, "window": list(window or prepared.window)}
+    return BenchmarkReport("matches", options, rows, tuple(notes))
+
+
+def matches_table(report: BenchmarkReport) -> str:
+    """Set a report in Markdown: a line for each entrant, first on all captures, then on the held-out ones."""
+    headings = ("matcher", "captures", "matches", "off > 1 px %", "off > 3 px %", "mean px")
+    return markdown_table(headings, [_line(row) for row in report.rows])
+
+
+def _unseen_captures(runs: Sequence[RunFolder]) -> tuple[frozenset[str], Window | None]:
+    """Captures that none of the trainings has seen, and the window of the first of them."""
+    from telewide.train import read_record
+
+    records = [record for record in map(read_record, runs) if record is not None]
+    if not records or len(records) < len(runs):
+        return frozenset(), records[0].window if records else None
+    return frozenset.intersection(*(frozenset(record.held_out) for record in records)), records[0].window
+
+
+def _uncorrected(item: PreparedPair, facts: CaptureFacts) -> RectifiedPair:
+    """The pair as it was photographed, at the working size; the correction moves rows only, so matches still hold."""
+    height, width = read_pair(item.capture).tele.shape[:2]
+    pair = read_pair(item.source, facts=facts)
+    if pair.tele.shape[:2] == (height, width):
+        return pair
+    tele, wide = (resize_bicubic(view, wh=(width, height)) for view in (pair.tele, pair.wide))
+    return RectifiedPair(pair.name, tele, wide)
+
+
+def _row(matcher: str, captures: str, errors_px: Sequence[Errors]) -> dict[str, object]:
+    summary = summarise_errors(np.concatenate(errors_px))
+    return {"matcher": matcher, "captures": captures, **summary, "matches": int(summary["matches"])}
+
+
+def _line(row: Mapping[str, object]) -> list[str]:
+    shares = [number(float(str(row[key])) * 100, ".2f") for key in ("off_1px", "off_3px")]
+    return [str(row["matcher"]), str(row["captures"]), str(row["matches"]), *shares, number(row["mean_px"], ".3f")]

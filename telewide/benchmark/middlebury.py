@@ -1,0 +1,151 @@
+"""Errors against the truth of Middlebury 2006, the other camera made soft.
+
+Third-size scenes, the right view shrunk and enlarged again; disparities 0 to 80 px; all pixels with known truth count
+but those of the first 53 columns, whose partners mostly lie outside the other view. Maps are filled, and judged as
+they come from the matcher and after :func:`telewide.output.edges.follow_edges`.
+3PE is the share of pixels off by more than 3 px and by more than 5 % of the truth; EPE the mean absolute error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from telewide.benchmark.matchers import Matcher
+from telewide.benchmark.report import BenchmarkReport, markdown_table, number
+from telewide.capture.datasets import write_middlebury_captures
+from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
+from telewide.errors import InputError
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.metrics import end_point_error_px, three_pixel_error
+from telewide.output.edges import follow_edges
+
+SPLITS: dict[str, tuple[str, ...]] = {
+    "training": (
+        *("Baby1", "Baby2", "Bowling1", "Bowling2", "Cloth1", "Cloth2", "Cloth4"),
+        *("Flowerpots", "Lampshade2", "Midd1", "Monopoly", "Plastic", "Rocks1", "Wood1"),
+    ),
+    "validation": ("Baby3", "Lampshade1", "Wood2"),
+    "test": ("Aloe", "Cloth3", "Midd2", "Rocks2"),
+}
+Row = Mapping[str, object]
+WINDOW = (0, 80)
+SKIPPED_COLUMNS = 53
+MEAN = "mean"
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of one map.
+
+    Attributes:
+        share_off_3px: 3PE, in [0, 1].
+        end_point_error_px: EPE.
+    """
+
+    share_off_3px: float
+    end_point_error_px: float
+
+
+def score_map(estimate_px: FloatMap, truth_px: FloatMap, *, skipped_columns: int = SKIPPED_COLUMNS) -> Score:
+    """Judge a filled map by the protocol above.
+
+    Args:
+        estimate_px: (H, W) disparity, px.
+        truth_px: (H, W) disparity, px; NaN where unknown.
+        skipped_columns: first columns that do not count.
+    """
+    counts = np.zeros(truth_px.shape, dtype=np.bool_)
+    counts[:, skipped_columns:] = True
+    return Score(
+        three_pixel_error(estimate_px, truth_px, mask=counts), end_point_error_px(estimate_px, truth_px, mask=counts)
+    )
+
+
+def benchmark_middlebury(
+    data_root: Path,
+    matchers: Sequence[Matcher],
+    *,
+    scenes: Sequence[str],
+    factor: float,
+    captures: Path,
+    tell: Callable[[str], None],
+) -> BenchmarkReport:
+    """Judge matchers on scenes with known disparity.
+
+    Args:
+        data_root: holds one folder per scene.
+        matchers: what to judge.
+        scenes: names of the scenes.
+        factor: how many times fewer pixels the soft view has along each side.
+        captures: folder to write the pairs to.
+        tell: hears how far it is.
+
+    Returns:
+        A row for each matcher, with and without followed edges, and scene; then the mean over the scenes.
+
+    Raises:
+        UsageError: a scene that is not there.
+        InputError: a file cannot be read.
+    """
+    write_middlebury_captures(data_root, captures, scenes=scenes, factor=factor)
+    found = {capture.name: capture for capture in find_captures(captures).captures}
+    rows: list[Row] = []
+    for scene in scenes:
+        pair, truth_px = read_pair(found[scene]), read_truth(found[scene])
+        if truth_px is None:
+            raise InputError(f"{captures / scene} was written and has no truth")
+        for matcher in matchers:
+            tell(f"{scene}: {matcher.name}")
+            disparity = matcher.match(pair.tele, pair.wide, WINDOW)
+            for follows, estimate_px in ((False, disparity.disparity_px), (True, _followed(disparity, pair))):
+                rows.append(_row(matcher.name, scene, score_map(estimate_px, truth_px), follows=follows))
+    options = {"scenes": list(scenes), "factor": factor, "window": WINDOW, "skipped_columns": SKIPPED_COLUMNS}
+    return BenchmarkReport("middlebury", options, tuple(_with_means(rows)))
+
+
+def middlebury_table(report: BenchmarkReport) -> str:
+    """Set a report in Markdown: 3PE in per cent / EPE in px; a line for each matcher, with and without edges."""
+    scenes = list(dict.fromkeys(str(row["scene"]) for row in report.rows))
+    cells = {(row["matcher"], row["follow_edges"], row["scene"]): _cell(row) for row in report.rows}
+    keys = dict.fromkeys((row["matcher"], row["follow_edges"]) for row in report.rows)
+    lines = [
+        [f"{name}, edges followed" if follows else str(name), *(cells[name, follows, scene] for scene in scenes)]
+        for name, follows in keys
+    ]
+    return markdown_table(["3PE % / EPE px", *scenes], lines)
+
+
+def _followed(disparity: DisparityMap, pair: RectifiedPair) -> FloatMap:
+    return follow_edges(disparity.disparity_px, pair.tele, confidence=disparity.confidence, valid=disparity.valid)
+
+
+def _row(matcher: str, scene: str, score: Score, *, follows: bool) -> Row:
+    return {
+        "matcher": matcher,
+        "follow_edges": follows,
+        "scene": scene,
+        "3PE": score.share_off_3px,
+        "EPE_px": score.end_point_error_px,
+    }
+
+
+def _mean(rows: Sequence[Row], key: str) -> float:
+    return float(np.mean([float(str(row[key])) for row in rows]))
+
+
+def _with_means(rows: Sequence[Row]) -> list[Row]:
+    """The rows, and after them the means over the scenes."""
+    variants = dict.fromkeys((str(row["matcher"]), bool(row["follow_edges"])) for row in rows)
+    means = []
+    for matcher, follows in variants:
+        mine = [row for row in rows if (row["matcher"], row["follow_edges"]) == (matcher, follows)]
+        means.append(_row(matcher, MEAN, Score(_mean(mine, "3PE"), _mean(mine, "EPE_px")), follows=follows))
+    return [*rows, *means]
+
+
+def _cell(row: Row) -> str:
+    return f"{100 * float(str(row['3PE'])):.2f} / {number(row['EPE_px'], '.2f')}"

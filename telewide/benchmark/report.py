@@ -1,0 +1,117 @@
+"""What a benchmark hands over: rows of numbers with the machine they come from, as JSON and as a Markdown table."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+
+from telewide.capture.rundir import write_text
+
+FORMAT = 1
+_PACKAGES = ("telewide", "numpy", "opencv-contrib-python-headless", "scipy", "torch")
+
+
+@dataclass(frozen=True)
+class BenchmarkReport:
+    """The numbers of one benchmark.
+
+    Attributes:
+        benchmark: its name.
+        options: what was asked for.
+        rows: one a line of the table or finer; NaN and None where a number does not exist.
+        notes: what a reader must know.
+        machine: see :func:`describe_machine`.
+    """
+
+    benchmark: str
+    options: Mapping[str, object]
+    rows: tuple[Mapping[str, object], ...]
+    notes: tuple[str, ...] = ()
+    machine: Mapping[str, object] = field(default_factory=lambda: describe_machine())
+
+
+def describe_machine() -> dict[str, object]:
+    """State processor, cores, memory, load and the versions of what computes."""
+    return {
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "python": platform.python_version(),
+        "versions": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def write_report_json(report: BenchmarkReport, path: Path) -> None:
+    """Write a report as one JSON object; a number that does not exist becomes null.
+
+    Args:
+        report: what to write.
+        path: the file to write or to replace.
+    """
+    content = {
+        "format": FORMAT,
+        "benchmark": report.benchmark,
+        "machine": report.machine,
+        "options": report.options,
+        "rows": report.rows,
+        "notes": report.notes,
+    }
+    write_text(path, json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def markdown_table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Set a table in Markdown, its columns aligned for a terminal too; the first one to the left.
+
+    Args:
+        headings: of the columns.
+        lines: as many cells each.
+
+    Returns:
+        The text, without a line end at its end.
+    """
+    widths = [max(3, *(len(row[column]) for row in (headings, *lines))) for column in range(len(headings))]
+    rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
+    aligned = [
+        [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
+        for row in (headings, rule, *lines)
+    ]
+    return "\n".join(f"| {' | '.join(row)} |" for row in aligned)
+
+
+def number(value: object, form: str) -> str:
+    """Format a number; a dash where there is none."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return "-"
+    return format(value, form)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())

@@ -1,0 +1,202 @@
+"""How fast each matcher is and how much memory it takes, all side by side in one run.
+
+A training step is timed on crops, inference on a picture of the size of the real pairs; both on a rendered pair.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.benchmark.memory import SGM, MemoryCase, MemoryPeak, measure_peak
+from telewide.benchmark.report import BenchmarkReport, describe_machine, markdown_table, number
+from telewide.benchmark.timing import Timing, time_side_by_side
+from telewide.errors import UsageError
+from telewide.matching.semiglobal import match_semiglobal
+from telewide.matching.window import Window
+from telewide.simulate.degrade import Degradation, degrade
+from telewide.simulate.scene import random_scene, render_pair
+from telewide.training.samples import Sample
+
+FloatImage = NDArray[np.float32]
+Tell = Callable[[str], None]
+
+NO_PRECISION = "-"
+_FACTOR = 3.0
+_MIB = 1 << 20
+
+
+@dataclass(frozen=True)
+class SpeedOptions:
+    """What is timed, and how often.
+
+    Attributes:
+        matchers: sgm and networks by name; empty for all.
+        device: auto, cpu or cuda.
+        repeats: timed turns.
+        warm_up: turns before them.
+        batch: crops of a training step.
+        crop_hw: height and width of the crops.
+        crop_window: disparities of a training step's volume, px.
+        image_hw: height and width of the picture.
+        image_window: disparities of an inference, px.
+    """
+
+    matchers: tuple[str, ...] = ()
+    device: str = "auto"
+    repeats: int = 7
+    warm_up: int = 2
+    batch: int = 2
+    crop_hw: tuple[int, int] = (256, 384)
+    crop_window: Window = (0, 80)
+    image_hw: tuple[int, int] = (640, 1280)
+    image_window: Window = (0, 64)
+
+
+Variant = tuple[str, str]
+"""A matcher and the precision it computes in."""
+
+
+def measure_speed(options: SpeedOptions, *, tell: Tell) -> BenchmarkReport:
+    """Time a training step and an inference of every matcher, and measure the peak memory of the inference.
+
+    Args:
+        options: what and how often.
+        tell: hears how far it is.
+
+    Returns:
+        A row for each matcher and precision.
+
+    Raises:
+        UsageError: a matcher that does not exist.
+        MissingPartError: cuda was asked for and is not there.
+    """
+    from telewide.benchmark.networks import describe_device, synchroniser
+    from telewide.matching.inference import choose_device
+
+    if options.repeats < 1 or options.warm_up < 0:
+        raise UsageError(f"{options.repeats} repeats, {options.warm_up} to warm up: at least 1 and 0 were expected")
+    device = choose_device(options.device)
+    variants = _variants(options)
+    machine = describe_machine() | describe_device(device)
+    tell(f"peak memory of {len(variants)} inferences, each in a process of its own")
+    peaks = {variant: measure_peak(_memory_case(variant, options)) for variant in variants}
+
+    def timed(cases: Mapping[Variant, Callable[[], None]]) -> dict[Variant, Timing]:
+        wait = synchroniser(device)
+        return time_side_by_side(cases, repeats=options.repeats, warm_up=options.warm_up, synchronise=wait)
+
+    tell("training steps")
+    steps = timed(_training_cases(variants, options))
+    tell("inference")
+    inferences = timed(_inference_cases(variants, options))
+    megapixels = options.image_hw[0] * options.image_hw[1] / 1e6
+    rows = tuple(_row(v, steps.get(v), inferences[v], peaks[v], megapixels=megapixels) for v in variants)
+    return BenchmarkReport("speed", asdict(options), rows, machine=machine)
+
+
+def speed_table(report: BenchmarkReport) -> str:
+    """Set a speed report in Markdown: median (interquartile range), one line for each matcher and precision."""
+    headings = ("matcher", "precision", "training step s", "inference s", "Mpx/s", "peak MiB", "GPU MiB")
+    return markdown_table(headings, [_line(row) for row in report.rows])
+
+
+def _variants(options: SpeedOptions) -> list[Variant]:
+    from telewide.benchmark.networks import available_precisions
+    from telewide.matching.inference import choose_device
+    from telewide.matching.networks import NETWORKS
+
+    known = (SGM, *NETWORKS)
+    for name in options.matchers:
+        if name not in known:
+            raise UsageError(f"unknown matcher {name!r}", hint=f"known matchers: {', '.join(known)}")
+    precisions = available_precisions(choose_device(options.device))
+    return [
+        (name, precision)
+        for name in options.matchers or known
+        for precision in ((NO_PRECISION,) if name == SGM else precisions)
+    ]
+
+
+def _memory_case(variant: Variant, options: SpeedOptions) -> MemoryCase:
+    return MemoryCase(*variant, options.image_hw, options.image_window, options.device)
+
+
+def _training_cases(variants: list[Variant], options: SpeedOptions) -> dict[Variant, Callable[[], None]]:
+    from telewide.benchmark.networks import training_case
+    from telewide.matching.inference import choose_device
+
+    device = choose_device(options.device)
+    samples = [_sample(options.crop_hw, options.crop_window, seed=seed) for seed in range(options.batch)]
+    return {
+        (name, precision): training_case(name, samples, window=options.crop_window, device=device, precision=precision)
+        for name, precision in variants
+        if name != SGM
+    }
+
+
+def _inference_cases(variants: list[Variant], options: SpeedOptions) -> dict[Variant, Callable[[], None]]:
+    sample = _sample(options.image_hw, options.image_window, seed=0)
+    return {variant: _inference_case(variant, sample, options) for variant in variants}
+
+
+def _inference_case(variant: Variant, sample: Sample, options: SpeedOptions) -> Callable[[], None]:
+    name, precision = variant
+    if name == SGM:
+
+        def match() -> None:
+            match_semiglobal(sample.ref, sample.src, window=options.image_window)
+
+        return match
+    from telewide.benchmark.networks import inference_case
+    from telewide.matching.inference import choose_device
+
+    views, device = (sample.ref, sample.src), choose_device(options.device)
+    return inference_case(name, views, window=options.image_window, device=device, precision=precision)
+
+
+def _sample(hw: tuple[int, int], window: Window, *, seed: int) -> Sample:
+    """A rendered pair whose disparities fill the window, its src view as soft as a wide lens' is."""
+    rng = np.random.default_rng(seed)
+    pair = render_pair(random_scene(rng, hw=hw, disparity_window_px=window))
+    return Sample(pair.ref, degrade(pair.src, Degradation(factor=_FACTOR), rng=rng), pair.disparity_px)
+
+
+def _row(
+    variant: Variant, step: Timing | None, inference: Timing, peak: MemoryPeak, *, megapixels: float
+) -> dict[str, object]:
+    return {
+        "matcher": variant[0],
+        "precision": variant[1],
+        "training_step": None if step is None else asdict(step),
+        "inference": asdict(inference),
+        "megapixels_per_s": megapixels / inference.median_s,
+        "peak_memory_bytes": peak.process_bytes,
+        "peak_gpu_bytes": peak.gpu_bytes,
+    }
+
+
+def _line(row: Mapping[str, object]) -> list[str]:
+    return [
+        str(row["matcher"]),
+        str(row["precision"]),
+        _seconds(row["training_step"]),
+        _seconds(row["inference"]),
+        number(row["megapixels_per_s"], ".2f"),
+        _mib(row["peak_memory_bytes"]),
+        _mib(row["peak_gpu_bytes"]),
+    ]
+
+
+def _seconds(timing: object) -> str:
+    if not isinstance(timing, Mapping):
+        return "-"
+    return f"{timing['median_s']:.3f} ({timing['q3_s'] - timing['q1_s']:.3f})"
+
+
+def _mib(size_bytes: object) -> str:
+    return f"{size_bytes / _MIB:.0f}" if isinstance(size_bytes, int) else "-"
