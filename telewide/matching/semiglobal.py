@@ -1,9 +1,9 @@
 """Semi-global matching of two comparable views, without training and without torch.
 
 Every pixel and disparity gets a cost: how the patterns of light and dark around the two pixels differ (census), and how
-their colours differ. Along eight directions the costs are summed with
-a price on every change of disparity, lower where ref has an edge, and the cheapest disparity wins. Values on which ref
-and src do not agree are replaced from the background beside them, and edges are moved to those of ref.
+their colours differ. Along eight directions the costs are summed with a price on every change of disparity, lower where
+ref has an edge, and the cheapest disparity wins. Values on which ref and src do not agree are replaced from the
+background beside them, and edges are moved to those of ref.
 ``disparity_px = x_ref - x_src``; the window (d_min, d_max) is in px, d_max itself left out, and may be negative.
 Source: H. Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information", PAMI 2008.
 Letters: D disparity levels, H W image, N M steps of a sweep and pixels beside each other in a step.
@@ -53,9 +53,9 @@ def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -
         window: smallest and largest disparity searched, px; the largest is left out.
 
     Returns:
-        The disparity of ref, filled everywhere. Confidence is the mean over a pixel's surroundings of how far values
-        are right by two signs: it falls by e with every px by which the two views disagree, beyond the rounding of
-        src's values, and with every px by which the median moved the value; a value that was replaced counts 0.
+        The disparity of ref, filled everywhere. Confidence is a mean over the pixel's surroundings of
+        exp(-(disagreement of the two views in px, beyond src's rounding) - (px by which the median moved the value)),
+        where a value that was replaced counts 0.
 
     Raises:
         ValueError: the views differ in shape, or the window is too small.
@@ -69,8 +69,7 @@ def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -
     is_consistent = (difference_px <= _CONSISTENT_PX) & _outside_speckles(measured_px)
     filled_px = fill_rows(np.where(is_consistent, measured_px, np.float32(np.nan)))
     disparity_px = weighted_median(filled_px, ref)
-    moved_px = np.abs(disparity_px - measured_px)
-    agreement = np.where(is_consistent, np.exp(-np.maximum(difference_px - 0.5, 0) - moved_px), np.float32(0))
+    agreement = np.exp(-np.maximum(difference_px - 0.5, 0) - np.abs(disparity_px - measured_px)) * is_consistent
     confidence = cv2.blur(agreement, (_AGREEMENT_BLOCK_PX, _AGREEMENT_BLOCK_PX)).clip(0, 1).astype(np.float32)
     return DisparityMap(disparity_px, confidence, confidence >= _MEASURED_CONFIDENCE)
 
