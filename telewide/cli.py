@@ -5,12 +5,14 @@ Answers go to standard output, everything else to standard error. Exit codes: se
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import logging
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -21,10 +23,12 @@ from telewide.cli_benchmark import benchmark_app
 from telewide.errors import TelewideError, UsageError
 
 if TYPE_CHECKING:
-    from telewide.pipeline import BokehOptions, DepthOptions, DepthRun
+    from telewide.output.bokeh_picture import BokehOptions
+    from telewide.pipeline import DepthOptions, DepthRun
     from telewide.progress import ConsoleObserver
 
 INTERRUPTED = 130
+_ISSUES_HINT = "the command and the lines above"
 
 app = typer.Typer(
     name="telewide",
@@ -133,8 +137,6 @@ def depth(
         out=out,
         device=device,
     )
-    if run is not None and not run.is_dir() and method == "network" and weights is None:
-        raise UsageError(f"{run} does not exist", hint="train first: telewide train captures/")
     from telewide.pipeline import depth_captures, recipe_of_run
 
     with _observer(is_quiet=quiet, shows_table=False) as observer:
@@ -213,31 +215,44 @@ def _exit_code(arguments: Sequence[str] | None) -> int:
     words = list(arguments) if arguments is not None else sys.argv[1:]
     try:
         code = app(words, prog_name="telewide", standalone_mode=False)
-    except TelewideError as error:
-        return _complain(error, as_json="--json" in words)
-    except (KeyboardInterrupt, typer.Abort):
-        typer.echo("stopped; what was finished is kept, run the same command to continue", err=True)
-        return INTERRUPTED
+        if code == INTERRUPTED:  # how the parser hands Ctrl-C over
+            raise KeyboardInterrupt
     except BrokenPipeError:
         return 0
-    except Exception as error:
-        show = getattr(error, "show", None)  # the parser's own errors know how to show themselves
-        if callable(show):
-            show()
-            return int(getattr(error, "exit_code", 2))
-        traceback.print_exc()
-        typer.echo("this is a fault in telewide, not in your files; please report the lines above", err=True)
-        return 1
+    except (Exception, KeyboardInterrupt) as error:
+        failure = _told(error)
+        if "--json" in words:
+            _print_json(dataclasses.asdict(failure))
+        return failure.exit_code
     return code if isinstance(code, int) else 0
 
 
-def _complain(error: TelewideError, *, as_json: bool) -> int:
-    typer.echo(f"error: {error.message}", err=True)
-    if error.hint:
-        typer.echo(f"  {error.hint}", err=True)
-    if as_json:
-        _print_json({"error": error.message, "hint": error.hint, "exit_code": error.exit_code})
-    return error.exit_code
+@dataclass(frozen=True)
+class _Failure:
+    """Why a command did not do what it was asked for; what ``--json`` prints instead of an answer."""
+
+    error: str
+    hint: str | None
+    exit_code: int
+
+
+def _told(error: BaseException) -> _Failure:
+    """Say on standard error what went wrong."""
+    show = getattr(error, "show", None)  # the parser's own errors know how to show themselves
+    if isinstance(error, TelewideError):
+        failure = _Failure(error.message, error.hint, error.exit_code)
+        typer.echo(f"error: {error.message}" + (f"\n  {error.hint}" if error.hint else ""), err=True)
+    elif isinstance(error, KeyboardInterrupt | typer.Abort):
+        failure = _Failure("stopped; what was finished is kept", "run the same command to continue", INTERRUPTED)
+        typer.echo(f"{failure.error}, {failure.hint}", err=True)
+    elif callable(show):
+        show()
+        failure = _Failure(str(error), None, int(getattr(error, "exit_code", 2)))
+    else:
+        traceback.print_exception(error)
+        failure = _Failure(f"{type(error).__name__}: {error}", f"please report this: {_ISSUES_HINT}", 1)
+        typer.echo(f"this is a fault in telewide, not in your files; please report {_ISSUES_HINT}", err=True)
+    return failure
 
 
 @contextmanager
@@ -273,7 +288,7 @@ def _depth_options(
 
 
 def _bokeh_options(*, focus: str, f_number: float | None, strength: float | None) -> BokehOptions:
-    from telewide.pipeline import BokehOptions
+    from telewide.output.bokeh_picture import BokehOptions
 
     if f_number is not None and strength is not None:
         raise UsageError("--f-number and --strength both say how strong the blur is; give one of them")

@@ -12,7 +12,8 @@ import json
 import os
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -20,7 +21,7 @@ import numpy as np
 
 from telewide.capture.images import write_image
 from telewide.capture.pair import CaptureFacts, CaptureSet, Problem, find_captures, read_pair, read_truth
-from telewide.capture.rundir import RunFolder, locate_run, write_run_record
+from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
 from telewide.correction.held_out import match_errors_px, summarise_errors
 from telewide.correction.inspect import PairReport
 from telewide.errors import InputError, UsageError
@@ -28,15 +29,11 @@ from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.options import parse_options
-from telewide.output.bokeh import (
-    focus_disparity,
-    radius_per_px_from_f_number,
-    radius_per_px_from_strength,
-    render_bokeh,
-)
+from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bokeh
 from telewide.output.depth import depth_result
 from telewide.output.edges import follow_edges
 from telewide.output.export import write_depth
+from telewide.output.kept import KEPT_NAME, KeptDepth, read_kept, write_kept
 from telewide.page import report_row, write_page
 from telewide.prepare import PreparedPair, PreparedSet, prepare_captures
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
@@ -49,8 +46,6 @@ if TYPE_CHECKING:
 
 Matcher = Callable[[FloatMap, FloatMap], DisparityMap]
 METHODS = ("network", "sgm")
-DEFAULT_STRENGTH_SHARE = 0.012
-"""Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
 
 
 class Observer(Protocol):
@@ -91,21 +86,6 @@ class Observer(Protocol):
 
     def depth_failed(self, problem: Problem) -> None:
         """One capture was skipped."""
-
-
-@dataclass(frozen=True)
-class BokehOptions:
-    """How a bokeh picture is focused and how strongly it is blurred.
-
-    Attributes:
-        focus: "X,Y" in px of the tele photo, near, far or auto.
-        strength_px: radius of the strongest blur, px; None for the default.
-        f_number: of an imitated 50 mm lens; needs the baseline.
-    """
-
-    focus: str = "auto"
-    strength_px: float | None = None
-    f_number: float | None = None
 
 
 @dataclass(frozen=True)
@@ -232,9 +212,9 @@ def depth_captures(
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
     folder = locate_run(run, captures_root)
-    matcher_for = _choose_matcher(folder, options)
     captures = find_captures(captures_root)
-    _check_bokeh(options.bokeh, captures.facts)
+    check_bokeh(options.bokeh, captures)
+    matcher_for, matcher_key = _choose_matcher(folder, options)
     prepared = _prepare_together(captures_root, folder, recipe, observer)
     out = options.out or folder.depth
     rank, world = rank_and_world()
@@ -242,18 +222,31 @@ def depth_captures(
     observer.matching(len(mine), method=options.method)
     match = matcher_for(prepared)
     begun_s = time.monotonic()
-    outcomes, problems = [], list(prepared.problems)
+    outcomes, problems, n_kept = [], list(prepared.problems), 0
+    failure: InputError | UsageError | None = None
     for item in mine:
+        place, key = out / item.capture.name, _depth_key(item, prepared, options, matcher_key=matcher_key)
         try:
-            outcome = _depth_of(item, prepared.facts, match, bokeh=options.bokeh, folder=out / item.capture.name)
+            done = kept = read_kept(place, key)
+            if done is None:
+                (place / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
+                done = _depth_of(item, prepared.facts, match, bokeh=options.bokeh, folder=place)
+                write_kept(place, done, key=key)
         except (InputError, UsageError) as error:
+            failure = error
             problems.append(Problem(item.capture.name, error.message))
             observer.depth_failed(problems[-1])
             continue
-        outcomes.append(outcome)
-        observer.depth_written(outcome)
-    if not outcomes and mine:
-        raise InputError(f"{captures_root}: no depth could be computed; {problems[-1].name}: {problems[-1].message}")
+        n_kept += kept is not None
+        outcomes.append(
+            DepthOutcome(item.source.name, tuple(place / name for name in done.files), done.notes, done.numbers)
+        )
+        observer.depth_written(outcomes[-1])
+    if failure is not None and not outcomes:
+        message = f"{captures_root}: no depth could be computed; {problems[-1].name}: {failure.message}"
+        raise type(failure)(message, hint=failure.hint)
+    if n_kept:
+        observer.said(f"{n_kept} of {len(outcomes)} captures are as they were: same photos, same weights, same options")
     if is_writer():
         write_run_record(
             folder,
@@ -284,6 +277,7 @@ def run_captures(
         TelewideError: see `train_captures` and `depth_captures`.
     """
     folder = locate_run(run, captures_root)
+    check_bokeh(options.bokeh, find_captures(captures_root))
     train_captures(captures_root, run=folder.root, recipe=recipe, fresh=False, device=options.device, observer=observer)
     done = depth_captures(captures_root, run=folder.root, recipe=recipe, options=options, observer=observer)
     captures = {capture.name: capture for capture in find_captures(captures_root).captures}
@@ -337,10 +331,10 @@ def _prepare_together(captures_root: Path, folder: RunFolder, recipe: Recipe, ob
         return _prepare(captures_root, folder, recipe, observer, processes=processes)
 
 
-def _choose_matcher(folder: RunFolder, options: DepthOptions) -> Callable[[PreparedSet], Matcher]:
-    """Say at once, before any photo is read, when there is nothing to match with."""
+def _choose_matcher(folder: RunFolder, options: DepthOptions) -> tuple[Callable[[PreparedSet], Matcher], str]:
+    """Matcher and what tells it from others; say at once, before any photo is read, when there is none."""
     if options.method == "sgm":
-        return lambda prepared: lambda ref, src: match_semiglobal(ref, src, window=prepared.window)
+        return lambda prepared: lambda ref, src: match_semiglobal(ref, src, window=prepared.window), "sgm"
     from telewide.matching.inference import choose_device, match_with_network
     from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
 
@@ -349,23 +343,31 @@ def _choose_matcher(folder: RunFolder, options: DepthOptions) -> Callable[[Prepa
         missing = f"{path} does not exist" if options.weights else f"{folder.root} holds no trained network"
         raise UsageError(
             missing,
-            hint="train one with: telewide train captures/   or match at once with: telewide depth --method sgm",
+            hint="train one with: telewide train captures/  or match at once, untrained: telewide depth --method sgm",
         )
     network, card = load_weights(path, device=choose_device(options.device))
-    return lambda _prepared: lambda ref, src: match_with_network(ref, src, network=network, window=card.window)
+    key = fingerprint(path)
+    return lambda _prepared: lambda ref, src: match_with_network(ref, src, network=network, window=card.window), key
 
 
-def _check_bokeh(bokeh: BokehOptions | None, facts: CaptureFacts) -> None:
-    if bokeh is not None and bokeh.f_number is not None and facts.baseline_m is None:
-        raise UsageError(
-            "--f-number needs the distance of the two lenses, which captures.yaml does not state",
-            hint="state baseline_m there, or give the blur in pixels with --strength",
-        )
+def _depth_key(
+    item: PreparedPair, prepared: PreparedSet, options: DepthOptions, *, matcher_key: str
+) -> dict[str, object]:
+    """What the files of one capture depend on; the pair's record names photos, facts and correction."""
+    truth = item.source.truth_path
+    return {
+        "version": metadata.version("telewide"),
+        "pair_sha256": fingerprint(item.capture.tele_path.with_name("pair.json")),
+        "truth_sha256": None if truth is None else fingerprint(truth),
+        "matcher": matcher_key,
+        "window": prepared.window if options.method == "sgm" else None,  # a network brings its own
+        "bokeh": None if options.bokeh is None else asdict(options.bokeh),
+    }
 
 
 def _depth_of(
     item: PreparedPair, facts: CaptureFacts, match: Matcher, *, bokeh: BokehOptions | None, folder: Path
-) -> DepthOutcome:
+) -> KeptDepth:
     """Match one pair, bring the result to the photo's own size and edges, and write it."""
     begun_s = time.monotonic()
     pair = read_pair(item.capture)
@@ -385,7 +387,7 @@ def _depth_of(
     if truth_px is not None:
         numbers["3PE"] = three_pixel_error(disparity.disparity_px, truth_px)
         numbers["EPE_px"] = end_point_error_px(disparity.disparity_px, truth_px)
-    return DepthOutcome(item.source.name, tuple(paths), written.notes, numbers)
+    return KeptDepth(tuple(path.name for path in paths), written.notes, numbers)
 
 
 def _on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
@@ -401,31 +403,6 @@ def _on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
         confidence, valid = confidence[np.ix_(rows, columns)], valid[np.ix_(rows, columns)]
     followed_px = follow_edges(disparity_px, photo, confidence=confidence, valid=valid)
     return DisparityMap(followed_px, confidence, valid)
-
-
-def bokeh_picture(
-    photo: FloatMap, disparity: DisparityMap, *, options: BokehOptions, baseline_m: float | None
-) -> FloatMap:
-    """Blur a photo by its disparity.
-
-    Args:
-        photo: (H, W, 3) tele, sRGB.
-        disparity: on the photo.
-        options: focus and strength.
-        baseline_m: distance of the lenses, m; needed for an f-number.
-
-    Returns:
-        (H, W, 3) sRGB.
-    """
-    focus_px = focus_disparity(disparity.disparity_px, disparity.confidence, focus=options.focus)
-    if options.f_number is not None and baseline_m is not None:
-        radius_per_px = radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
-    else:
-        strength_px = options.strength_px
-        if strength_px is None:
-            strength_px = DEFAULT_STRENGTH_SHARE * max(photo.shape[:2])
-        radius_per_px = radius_per_px_from_strength(disparity.disparity_px, focus_px, strength_px=strength_px)
-    return render_bokeh(photo, disparity.disparity_px, focus_disparity_px=focus_px, radius_per_px=radius_per_px)
 
 
 def rank_and_world() -> tuple[int, int]:

@@ -46,6 +46,7 @@ class ConsoleObserver:
     _loss: float = math.nan
     _last_line_s: float = field(default_factory=time.monotonic)
     _judgement: str = ""
+    _is_set_shown: bool = False
 
     def close(self) -> None:
         """Take the bar away."""
@@ -55,7 +56,8 @@ class ConsoleObserver:
 
     def preparing(self, captures: CaptureSet) -> None:
         """Show a bar over the captures."""
-        self.said(f"{len(captures.captures)} captures in {captures.root}")
+        if not self._is_set_shown:
+            self.said(f"{len(captures.captures)} captures in {captures.root}")
         self._begin("measuring and correcting", total=len(captures.captures))
 
     def pair_prepared(self, report: PairReport | None) -> None:
@@ -65,6 +67,9 @@ class ConsoleObserver:
     def set_prepared(self, prepared: PreparedSet) -> None:
         """Print the table of the captures and the problems."""
         self.close()
+        if self._is_set_shown:  # `telewide run` prepares twice, for the training and for the depth
+            return
+        self._is_set_shown = True
         if self.shows_table and not self.is_quiet:
             self.console.print(captures_table([pair.report for pair in prepared.pairs]))
             self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
@@ -133,12 +138,13 @@ class ConsoleObserver:
             self._line(message)
 
     def _line(self, message: str) -> None:
-        self.console.print(message, markup=False, highlight=False)
+        self.console.print(message, markup=False, highlight=False, soft_wrap=True)
 
     def _warn(self, problems: Sequence[Problem]) -> None:
         for problem in problems:
             verb = "skipped" if problem.is_skipped else "note"
-            self.console.print(f"{verb}: {problem.name}: {problem.message}", style="yellow", markup=False)
+            text = f"{verb}: {problem.name}: {problem.message}"
+            self.console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def _begin(self, label: str, *, total: int, done: int = 0) -> None:
         self.close()

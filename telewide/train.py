@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from telewide.capture.images import write_image
 from telewide.capture.pair import Capture, PairReader
 from telewide.capture.rundir import RunFolder, write_text
 from telewide.correction.held_out import HeldOut
@@ -25,7 +24,7 @@ from telewide.errors import InputError, UsageError
 from telewide.matching.inference import match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.matching.window import Window
-from telewide.output.contact import ContactRow, contact_sheet
+from telewide.output.contact import ContactRow, contact_sheet, write_sheet
 from telewide.prepare import PreparedSet, write_labels
 from telewide.recipe import Recipe, differing_keys
 from telewide.training.checkpoint import STATE_NAME, WEIGHTS_NAME, TrainingState, load_state, new_optimiser, new_state
@@ -333,7 +332,7 @@ class _LoggedReporter:
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
         if self.is_writer:
             sheet = contact_sheet(self._rows(network), title=f"{stage.name}")
-            write_image(self.run.train / f"{stage.name}.png", sheet)
+            write_sheet(self.run.train / f"{stage.name}.png", sheet)
         self.inner.stage_finished(stage, network=network, judgement=judgement)
 
     def said(self, message: str) -> None:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 from PIL import Image
 
+from telewide.capture.rundir import replacing
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.output.depth import DepthResult
 from telewide.output.drawing import (
@@ -25,6 +27,7 @@ from telewide.output.drawing import (
     new_page,
     painted,
     paste_centred,
+    paste_image,
     scaled_image,
     scaled_mask,
     text_width_px,
@@ -33,7 +36,7 @@ from telewide.output.drawing import (
 )
 from telewide.output.preview import disparity_panel, scale_ticks
 
-SHEET_WIDTH_PX = 2400
+SHEET_WIDTH_PX = 2000
 DIFFERENCE_SHOWN = 0.15
 """Difference (of values in [0, 1]) that is drawn in the brightest colour, the same on every sheet."""
 
@@ -113,7 +116,7 @@ def warped_difference(tele: FloatMap, wide: FloatMap, disparity_px: FloatMap) ->
 
 
 def contact_sheet(rows: Iterable[ContactRow], *, title: str) -> FloatMap:
-    """Lay captures out on one sheet at most 2400 px wide; upright ones stand side by side.
+    """Lay captures out on one sheet at most 2000 px wide; upright ones stand side by side.
 
     Args:
         rows: the captures; taken one by one, so a generator keeps memory small.
@@ -135,6 +138,20 @@ def contact_sheet(rows: Iterable[ContactRow], *, title: str) -> FloatMap:
         message = "a contact sheet needs at least one capture, there are none"
         raise ValueError(message)
     return image_from_page(_assembled(strips, cell_wh=cell_wh, title=title))
+
+
+def write_sheet(path: Path, sheet: FloatMap) -> None:
+    """Write a sheet as a PNG of 256 colours: a quarter of the size, and as good to judge by.
+
+    Args:
+        path: ends in .png.
+        sheet: (H, W, 3) RGB in [0, 1].
+    """
+    page = new_page(wh=(sheet.shape[1], sheet.shape[0]))
+    paste_image(page, sheet, at_xy=(0, 0))
+    colours = page.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    with replacing(path) as temporary:
+        colours.save(temporary)
 
 
 def strip(images: Sequence[FloatMap], labels: Sequence[str], *, width_px: int = 1600, columns: int = 0) -> FloatMap:

@@ -1,0 +1,96 @@
+"""The bokeh picture a user asks for: focus and strength in their words, checked before anything is computed.
+
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from telewide.capture.images import read_image
+from telewide.capture.pair import CaptureSet
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.output.bokeh import (
+    focus_disparity,
+    radius_per_px_from_f_number,
+    radius_per_px_from_strength,
+    render_bokeh,
+)
+
+DEFAULT_STRENGTH_SHARE = 0.012
+"""Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
+
+
+@dataclass(frozen=True)
+class BokehOptions:
+    """How a bokeh picture is focused and how strongly it is blurred.
+
+    Attributes:
+        focus: "X,Y" in px of the tele photo, near, far or auto.
+        strength_px: radius of the strongest blur, px; None for the default.
+        f_number: of an imitated 50 mm lens; needs the baseline.
+    """
+
+    focus: str = "auto"
+    strength_px: float | None = None
+    f_number: float | None = None
+
+
+def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet) -> None:
+    """Refuse a bokeh that no capture of a set can have, before hours are spent on the way to it.
+
+    Args:
+        bokeh: as asked for; None is always fine.
+        captures: the set.
+
+    Raises:
+        UsageError: an f-number without the lenses' distance, or a focus that is no word and no point of any tele photo.
+    """
+    if bokeh is None:
+        return
+    if bokeh.f_number is not None and captures.facts.baseline_m is None:
+        raise UsageError(
+            "--f-number needs the distance of the two lenses, which captures.yaml does not state",
+            hint="state baseline_m there, or give the blur in pixels with --strength",
+        )
+    refusal: UsageError | None = None
+    for capture in captures.captures:
+        try:
+            blank = np.zeros(read_image(capture.tele_path).shape[:2], np.float32)
+            focus_disparity(blank, blank, focus=bokeh.focus)
+        except UsageError as error:
+            refusal = error
+        except InputError:  # it is a problem of that capture, and said where the captures are read
+            continue
+        else:
+            return
+    if refusal is not None:
+        raise refusal
+
+
+def bokeh_picture(
+    photo: FloatMap, disparity: DisparityMap, *, options: BokehOptions, baseline_m: float | None
+) -> FloatMap:
+    """Blur a photo by its disparity.
+
+    Args:
+        photo: (H, W, 3) tele, sRGB.
+        disparity: on the photo.
+        options: focus and strength.
+        baseline_m: distance of the lenses, m; needed for an f-number.
+
+    Returns:
+        (H, W, 3) sRGB.
+    """
+    focus_px = focus_disparity(disparity.disparity_px, disparity.confidence, focus=options.focus)
+    if options.f_number is not None and baseline_m is not None:
+        radius_per_px = radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
+    else:
+        strength_px = options.strength_px
+        if strength_px is None:
+            strength_px = DEFAULT_STRENGTH_SHARE * max(photo.shape[:2])
+        radius_per_px = radius_per_px_from_strength(disparity.disparity_px, focus_px, strength_px=strength_px)
+    return render_bokeh(photo, disparity.disparity_px, focus_disparity_px=focus_px, radius_per_px=radius_per_px)

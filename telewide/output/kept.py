@@ -1,0 +1,64 @@
+"""What was made of one capture, remembered beside its files, so that the same is not computed twice: ``depth.json``."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from telewide.capture.rundir import write_text
+
+FORMAT = 1
+KEPT_NAME = "depth.json"
+
+
+@dataclass(frozen=True)
+class KeptDepth:
+    """What was made of one capture.
+
+    Attributes:
+        files: names of the files in its folder.
+        notes: what was left out, and why.
+        numbers: what was measured; NaN where it could not be.
+    """
+
+    files: tuple[str, ...]
+    notes: tuple[str, ...]
+    numbers: Mapping[str, float]
+
+
+def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
+    """Read what lies in a folder, if it was made from the same and is still whole.
+
+    Args:
+        folder: of one capture.
+        key: everything the files depend on, as plain data.
+
+    Returns:
+        What was made, or None where it has to be made (again).
+    """
+    path = folder / KEPT_NAME
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT or content["key"] != json.loads(json.dumps(key)):
+            return None
+        numbers = {name: math.nan if value is None else float(value) for name, value in content["numbers"].items()}
+        kept = KeptDepth(tuple(content["files"]), tuple(content["notes"]), numbers)
+        return kept if all((folder / name).is_file() for name in kept.files) else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # damaged: it is made again
+        return None
+
+
+def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object]) -> None:
+    """Remember what was made; called when all its files are written.
+
+    Args:
+        folder: of one capture.
+        kept: what was made.
+        key: everything the files depend on, as plain data.
+    """
+    numbers = {name: value if math.isfinite(value) else None for name, value in kept.numbers.items()}
+    content = {"format": FORMAT, "key": key, "files": kept.files, "notes": kept.notes, "numbers": numbers}
+    write_text(folder / KEPT_NAME, json.dumps(content, indent=2) + "\n")

@@ -1,0 +1,235 @@
+"""The command line as a program sees it: exit codes, what goes to which stream, what a message names."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+import yaml
+
+from telewide.cli import main
+from telewide.simulate.captures import write_captures
+
+COMMANDS = ("train", "depth", "run", "simulate")
+
+
+def run_cli(*words: str) -> int:
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    return int(left.value.code or 0)
+
+
+@pytest.fixture
+def captures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two tiny captures in the folder the commands take by themselves."""
+    write_captures(tmp_path / "captures", count=2, seed=5, hw=(96, 144), factor=2)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "captures"
+
+
+def state(captures: Path, **facts: object) -> None:
+    path = captures / "captures.yaml"
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **facts}))
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str, code: int, names: tuple[str, ...]) -> None:
+    """The command ends with a code, says the names on standard error, and nothing on standard output."""
+    assert run_cli(*words) == code
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert [name for name in names if name not in told.err] == []
+    assert "Traceback" not in told.err
+
+
+def test_help_names_every_command_and_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("--help") == 0
+    told = capsys.readouterr().out
+    assert [command for command in COMMANDS if command not in told] == []
+    assert "Example" in told
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_a_command_shows_an_example_that_parses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli(command, "--help") == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"Example: telewide {command}" in told
+    options = re.findall(r"--[a-z-]+", told[told.index("Example:") :])
+    listed = told[: told.index("Example:")]
+    assert [option for option in options if option not in listed] == []
+
+
+def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("--version") == 0
+    assert capsys.readouterr().out.strip() == metadata.version("telewide")
+
+
+def test_as_a_program_without_a_terminal_or_colour() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "telewide", "depth", "nowhere", "--json"],
+        capture_output=True,
+        text=True,
+        env={"NO_COLOR": "1", "TERM": "dumb", "PATH": ""},
+        check=False,
+    )
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["exit_code"] == 2
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", ["train", "depth", "run"])
+def test_captures_that_do_not_exist(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, command, "nowhere", code=2, names=("nowhere does not exist",))
+    refused(capsys, command, code=2, names=("captures does not exist",))
+
+
+def test_unknown_recipe_names_the_nearest(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, "train", "--recipe", "quik", code=2, names=("quik", "did you mean quick?"))
+
+
+def test_unknown_setting_names_the_nearest_key(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("train", "--set", "train.rehearsal.step=3")
+    refused(capsys, *words, code=2, names=("train.rehearsal.step", "did you mean train.rehearsal.steps?"))
+
+
+def test_unknown_key_in_captures_yaml_names_the_nearest(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    state(captures, baseline_mm=10)
+    refused(capsys, "depth", "--method", "sgm", code=3, names=("baseline_mm", "baseline_m", "captures.yaml"))
+
+
+def test_depth_without_a_trained_run_says_how_to_get_one(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = ("no trained network", "telewide train", "--method sgm")
+    refused(capsys, "depth", code=2, names=names)
+    refused(capsys, "depth", "--run", "elsewhere", code=2, names=("elsewhere", *names))
+
+
+def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, "depth", "--weights", "no.safetensors", code=2, names=("no.safetensors",))
+    Path("odd.safetensors").write_bytes(b"something else")
+    refused(capsys, "depth", "--weights", "odd.safetensors", code=3, names=("odd.safetensors", "telewide train"))
+
+
+@pytest.mark.parametrize("words", [("depth", "--method", "sgm", "--bokeh"), ("run", "--recipe", "quick")])
+class TestBokehIsCheckedFirst:
+    def test_f_number_needs_the_baseline(
+        self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        names = ("baseline_m", "--strength")
+        refused(capsys, *words, "--f-number", "1.8", code=2, names=names)
+        assert not Path("run").exists()
+
+    def test_focus_outside_the_photo(
+        self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        refused(capsys, *words, "--focus", "144,10", code=2, names=("144,10", "144 x 96 px", "0 to 143"))
+        assert not Path("run").exists()
+
+    def test_focus_that_is_no_point(
+        self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        refused(capsys, *words, "--focus", "nearby", code=2, names=("nearby", "X,Y", "near", "far", "auto"))
+
+    def test_two_strengths(self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        both = ("--strength", "4", "--f-number", "2")
+        refused(capsys, *words, *both, code=2, names=("--f-number", "--strength"))
+        refused(capsys, *words, "--strength", "-1", code=2, names=("--strength", "above 0"))
+
+
+@pytest.mark.parametrize(
+    "words", [("train", "--device", "tpu"), ("depth", "--method", "magic"), ("depth", "--nonsense"), ("depht",)]
+)
+def test_words_that_mean_nothing(words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, *words, code=2, names=(words[-1],))
+
+
+def test_missing_cuda(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("a CUDA device is here")
+    refused(capsys, "train", "--device", "cuda", code=5, names=("CUDA", "--device cpu"))
+
+
+def test_our_own_fault_asks_for_a_report(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("telewide.pipeline.depth_captures", fails)
+    assert run_cli("depth", "--method", "sgm", "--json") == 1
+    told = capsys.readouterr()
+    assert "Traceback" in told.err
+    assert "please report" in told.err
+    assert json.loads(told.out)["exit_code"] == 1
+
+
+def test_stopping_by_hand(captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stops(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("telewide.pipeline.depth_captures", stops)
+    refused(capsys, "depth", "--method", "sgm", code=130, names=("run the same command to continue",))
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("depth", "nowhere", "--json"), 2),
+        (("train", "--json", "--recipe", "quik"), 2),
+        (("depth", "--json", "--nonsense"), 2),
+        (("depth", "--json", "--method", "sgm", "--strength", "wide"), 2),
+    ],
+)
+def test_json_is_one_object_on_errors(
+    words: tuple[str, ...], code: int, captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_cli(*words) == code
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["exit_code"] == code
+    assert answer["error"]
+    assert set(answer) == {"error", "hint", "exit_code"}
+
+
+def test_depth_by_its_defaults(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("depth", "--method", "sgm", "--json") == 0
+    told = capsys.readouterr()
+    answer = json.loads(told.out)
+    assert answer["folder"] == str(Path("run") / "depth")
+    assert [capture["name"] for capture in answer["captures"]] == ["000", "001"]
+    assert all(Path(file).is_file() for capture in answer["captures"] for file in capture["files"])
+    assert "NaN" not in told.out
+    assert "2 captures" in told.err
+
+
+def test_quiet_says_nothing(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("depth", "--method", "sgm", "--quiet") == 0
+    told = capsys.readouterr()
+    assert (told.out, told.err) == ("", "")
+
+
+def test_a_bad_capture_is_said_and_skipped(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (captures / "000" / "tele.png").write_bytes(b"torn")
+    assert run_cli("depth", "--method", "sgm", "--json") == 0
+    told = capsys.readouterr()
+    assert "skipped: 000" in told.err
+    answer = json.loads(told.out)
+    assert [capture["name"] for capture in answer["captures"]] == ["001"]
+    assert [problem["name"] for problem in answer["problems"]] == ["000"]
+    (captures / "001" / "wide.png").write_bytes(b"torn too")
+    refused(capsys, "depth", "--method", "sgm", code=3, names=("000", "001"))
+
+
+def test_simulate_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "made"
+    words = ("simulate", str(out), "--captures", "1", "--width", "96", "--height", "96", "--factor", "1.5")
+    assert run_cli(*words) == 0
+    assert f"telewide train {out}" in capsys.readouterr().err
+    refused(capsys, "simulate", str(out), "--captures", "0", code=2, names=("0",))
