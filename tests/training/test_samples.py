@@ -1,0 +1,242 @@
+"""Samples: functions of the seed alone, the same in any process, and never of what is held out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from training.small import CROP_HW, WINDOW, rendered, source_of, stage_of
+
+from telewide.capture.images import write_image, write_pfm
+from telewide.capture.pair import Capture
+from telewide.training.data import StepBatches, iterate_batches
+from telewide.training.objective import Batch
+from telewide.training.samples import LABELS_NAME, CropArea, Sample, SampleSource, crop_capture, generator_for, rehearse
+
+
+def is_equal(a: Batch, b: Batch) -> bool:
+    return (
+        torch.equal(a.ref_BCHW, b.ref_BCHW)
+        and torch.equal(a.src_BCHW, b.src_BCHW)
+        and torch.equal(a.truth_px_BHW.nan_to_num(-99), b.truth_px_BHW.nan_to_num(-99))
+        and a.n_rehearsed == b.n_rehearsed
+    )
+
+
+def warp_error(sample: Sample, disparity_px: np.ndarray, seen: np.ndarray) -> float:
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in CROP_HW[::-1]))
+    warped = cv2.remap(sample.src, x - disparity_px, y, cv2.INTER_LINEAR)
+    inside = seen & (x - disparity_px >= 0) & (x - disparity_px <= CROP_HW[1] - 1)
+    return float(np.abs(warped - sample.ref)[inside].mean())
+
+
+def test_a_batch_depends_on_seed_stage_and_step_only(source: SampleSource, captures: tuple[Capture, ...]) -> None:
+    stage = stage_of(1, steps=9, rehearsed=1, captured=2, swaps_views=True)
+    batches = StepBatches(source, stage, seed=3)
+    first = batches[4]
+    for other in (0, 7):
+        batches[other]
+    assert is_equal(batches[4], first)
+    assert is_equal(StepBatches(source_of(captures), stage, seed=3)[4], first)
+    assert not is_equal(batches[5], first)
+    assert not is_equal(StepBatches(source, stage, seed=4)[4], first)
+    assert not is_equal(StepBatches(source, replace(stage, index=2), seed=3)[4], first)
+
+
+def test_a_batch_does_not_touch_others_draws(source: SampleSource) -> None:
+    state, torch_state = np.random.get_state()[1].copy(), torch.random.get_rng_state()  # noqa: NPY002
+    StepBatches(source, stage_of(steps=1, rehearsed=1, captured=1), seed=0)[0]
+    assert np.array_equal(state, np.random.get_state()[1])  # noqa: NPY002
+    assert torch.equal(torch_state, torch.random.get_rng_state())
+
+
+@pytest.mark.slow
+def test_worker_processes_make_the_same_batches(source: SampleSource) -> None:
+    batches = StepBatches(source, stage_of(steps=6, rehearsed=1, captured=1), seed=1)
+    made = list(iterate_batches(batches, first_step=2, workers=2))
+    assert len(made) == 4
+    assert all(is_equal(batch, batches[step]) for step, batch in enumerate(made, start=2))
+
+
+def test_batches_go_on_where_they_were_left(source: SampleSource) -> None:
+    batches = StepBatches(source, stage_of(steps=5, captured=1), seed=1)
+    whole = list(iterate_batches(batches, first_step=0, workers=0))
+    assert [is_equal(a, b) for a, b in zip(iterate_batches(batches, first_step=3, workers=0), whole[3:], strict=True)]
+    assert list(iterate_batches(batches, first_step=5, workers=0)) == []
+
+
+@pytest.mark.parametrize("world", [2, 3])
+def test_every_process_gets_its_share_of_the_joint_batch(source: SampleSource, world: int) -> None:
+    """Rank r makes crops r, r + N, ... of rehearsed crops followed by real ones; together they are the joint batch."""
+    stage = stage_of(steps=2, rehearsed=2, captured=3, swaps_views=True)
+    joint = StepBatches(source, stage, seed=2)[1]
+    for rank in range(world):
+        mine = StepBatches(source, stage, seed=2, rank=rank, world=world)[1]
+        crops = range(rank, 5, world)
+        assert torch.equal(mine.ref_BCHW, joint.ref_BCHW[crops])
+        assert torch.equal(mine.src_BCHW, joint.src_BCHW[crops])
+        assert mine.n_rehearsed == sum(crop < 2 for crop in crops)
+
+
+def test_samples_have_the_shape_and_range_of_pictures(source: SampleSource) -> None:
+    for index in range(12):
+        made = rehearse(source, rng=generator_for(0, index))
+        cut = crop_capture(source, rng=generator_for(0, index), may_swap=True)
+        for sample in (made, cut):
+            for view in (sample.ref, sample.src):
+                assert view.shape == (*CROP_HW, 3)
+                assert view.dtype == np.float32
+                assert view.min() >= 0
+                assert view.max() <= 1
+            assert sample.truth_px.shape == CROP_HW
+        assert np.isfinite(made.truth_px).all()
+        assert WINDOW[0] - 0.01 <= made.truth_px.min() <= made.truth_px.max() <= WINDOW[1] + 0.01
+        assert np.isnan(cut.truth_px).all()
+
+
+def test_rehearsed_truth_explains_the_pair(source: SampleSource) -> None:
+    """Without damage the source view is the reference view moved by the truth, hidden pixels aside."""
+    clean = replace(source, asymmetry=(1.0, 1.0))
+    better = 0
+    for index in range(6):
+        sample = rehearse(clean, rng=generator_for(1, index))
+        seen = np.ones(CROP_HW, np.bool_)
+        right = warp_error(sample, sample.truth_px, seen)
+        better += right < min(warp_error(sample, sample.truth_px + off, seen) for off in (-3, 3))
+    assert better == 6
+
+
+# What is held out
+
+
+def _painted(folder: Path, *, first_held_out: int, hw: tuple[int, int] = (96, 160)) -> Capture:
+    """A capture whose held-out columns are pure red and whose others have no red at all."""
+    rng = np.random.default_rng(0)
+    views = []
+    for _ in range(2):
+        view = rng.uniform(0.2, 0.9, (*hw, 3)).astype(np.float32)
+        view[:, :, 0] = 0.0
+        view[:, first_held_out:] = (1.0, 0.0, 0.0)
+        views.append(view)
+    capture = Capture("painted", folder / "tele.png", folder / "wide.png")
+    write_image(capture.tele_path, views[0])
+    write_image(capture.wide_path, views[1])
+    return capture
+
+
+@pytest.mark.parametrize("share", [0.8, 0.55])
+def test_the_held_out_strip_is_never_shown(tmp_path: Path, share: float) -> None:
+    capture = _painted(tmp_path, first_held_out=round(share * 160))
+    shown, open_source = (source_of([capture], area=CropArea(end=end)) for end in (share, 1.0))
+    red, red_if_open = 0.0, 0.0
+    for index in range(40):
+        whole = crop_capture(open_source, rng=generator_for(0, index), may_swap=True)
+        red_if_open = max(red_if_open, float((whole.ref[..., 0] > 0.5).mean()))
+        kept = crop_capture(shown, rng=generator_for(0, index), may_swap=True)
+        red = max(red, float(kept.ref[..., 0].max()), float(kept.src[..., 0].max()))
+    assert red_if_open > 0.2, "the paint would be seen"
+    assert red < 0.05
+
+
+def test_the_held_out_strip_is_no_texture_either(tmp_path: Path) -> None:
+    capture = _painted(tmp_path, first_held_out=120)
+    shown = source_of([capture], area=CropArea(end=0.75))
+    photo = shown.reader.read(capture).tele
+    rng = generator_for(3, 1)
+    before = rehearse(shown, rng=rng)
+    # Other pictures in the strip, the same rehearsal.
+    write_image(capture.tele_path, np.where(np.arange(160)[None, :, None] >= 120, 0.3, photo).astype(np.float32))
+    after = rehearse(source_of([capture], area=CropArea(end=0.75)), rng=generator_for(3, 1))
+    assert np.array_equal(before.ref, after.ref)
+    assert np.array_equal(before.src, after.src)
+
+
+def test_crops_reach_every_part_that_may_be_seen(tmp_path: Path) -> None:
+    """A coordinate painted as colour shows where crops come from."""
+    ramp = np.linspace(0, 1, 320, dtype=np.float32)[None, :, None]
+    capture = Capture("ramp", tmp_path / "tele.png", tmp_path / "wide.png")
+    write_image(capture.tele_path, np.broadcast_to(ramp, (128, 320, 3)).astype(np.float32))
+    write_image(capture.wide_path, np.broadcast_to(ramp * 0.99, (128, 320, 3)).astype(np.float32))
+    source = source_of([capture], area=CropArea(end=0.75))
+    ends = []
+    for index in range(60):
+        sample = crop_capture(source, rng=generator_for(0, index), may_swap=False)
+        ends.append((float(sample.ref[..., 1].min()), float(sample.ref[..., 1].max())))
+    assert min(first for first, _ in ends) < 0.05
+    assert 0.68 < max(end for _, end in ends) < 0.95  # 0.75, brightened by up to a quarter
+
+
+# Views and labels
+
+
+def test_exchanged_views_keep_the_sign_of_the_disparity(tmp_path: Path) -> None:
+    """A plane at 12 px: whichever view is the reference, and mirrored, src lies 12 px (of the crop) to the left."""
+    rng = np.random.default_rng(0)
+    world = cv2.GaussianBlur(rng.random((96, 172, 3), dtype=np.float32), (0, 0), 1.2)
+    capture = Capture("plane", tmp_path / "tele.png", tmp_path / "wide.png")
+    write_image(capture.tele_path, np.ascontiguousarray(world[:, :160]))
+    write_image(capture.wide_path, np.ascontiguousarray(world[:, 12:]))
+    source = source_of([capture])
+    n_swapped = 0
+    for index in range(20):
+        plain = crop_capture(source, rng=generator_for(0, index), may_swap=False)
+        sample = crop_capture(source, rng=generator_for(0, index), may_swap=True)
+        n_swapped += not np.array_equal(plain.ref, sample.ref)
+        seen = np.ones(CROP_HW, np.bool_)
+        errors = [warp_error(sample, np.full(CROP_HW, d, np.float32), seen) for d in range(-20, 21)]
+        found_px = int(np.argmin(errors)) - 20
+        assert 12 * 0.7 <= found_px <= 12 * 1.25  # the crop is zoomed by 0.75 to 1.2
+    assert 0 < n_swapped < 20
+
+
+def test_exchanged_views_of_a_rendered_pair_follow_the_truth_of_src(tmp_path: Path) -> None:
+    """The mirrored pair's own truth is what the renderer says of the source view's surfaces."""
+    pair = rendered(2, hw=CROP_HW)
+    mirrored = Sample(
+        np.ascontiguousarray(pair.src[:, ::-1]),
+        np.ascontiguousarray(pair.ref[:, ::-1]),
+        np.full(CROP_HW, np.nan, np.float32),
+    )
+    height, width = CROP_HW
+    src_truth = np.full(CROP_HW, np.nan, np.float32)
+    for y in range(height):  # nearer surfaces last: they hide the others
+        order = np.argsort(pair.disparity_px[y], kind="stable")
+        x_src = np.rint(order - pair.disparity_px[y, order]).astype(int)
+        inside = (x_src >= 0) & (x_src < width)
+        src_truth[y, x_src[inside]] = pair.disparity_px[y, order[inside]]
+    truth = np.ascontiguousarray(src_truth[:, ::-1])
+    seen = np.isfinite(truth)
+    filled = np.nan_to_num(truth)
+    right = warp_error(mirrored, filled, seen)
+    assert right < 0.5 * warp_error(mirrored, -filled, seen)
+    assert right < 0.5 * warp_error(mirrored, filled + 4, seen)
+
+
+def test_labels_are_cut_and_scaled_with_the_crop(tmp_path: Path, captures: tuple[Capture, ...]) -> None:
+    """Labels that state each pixel's own column: in a crop they differ by the zoom from pixel to pixel."""
+    for capture in captures:
+        columns = np.broadcast_to(np.arange(144, dtype=np.float32), (96, 144)).copy()
+        columns[:10] = np.nan
+        write_pfm(tmp_path / capture.name / LABELS_NAME, columns)
+    source = source_of(captures, labels=tmp_path)
+    for index in range(8):
+        truth = crop_capture(source, rng=generator_for(0, index), may_swap=False).truth_px
+        row = truth[-1]
+        assert np.isfinite(row).all()
+        # From one end to the other the photo's columns, times the enlargement, are the crop's columns.
+        assert (row[-1] - row[0]) / (CROP_HW[1] - 1) == pytest.approx(1.0, abs=0.03)
+    swapped = [crop_capture(source, rng=generator_for(0, i), may_swap=True).truth_px for i in range(20)]
+    assert any(np.isnan(truth).all() for truth in swapped), "labels are of ref: none after an exchange"
+
+
+def test_pictures_smaller_than_a_crop_are_enlarged(tmp_path: Path) -> None:
+    pair = rendered(1, hw=(40, 48))
+    capture = Capture("small", tmp_path / "tele.png", tmp_path / "wide.png")
+    write_image(capture.tele_path, pair.ref)
+    write_image(capture.wide_path, pair.src)
+    sample = crop_capture(source_of([capture]), rng=generator_for(0), may_swap=False)
+    assert sample.ref.shape == (*CROP_HW, 3)
