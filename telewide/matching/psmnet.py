@@ -140,7 +140,8 @@ def _expect_full_size(logits_B1DHW: Tensor, window: Window) -> Tensor:
     full = functional.interpolate(logits_B1DHW, scale_factor=VOLUME_STEP_PX, mode="trilinear", align_corners=False)
     levels = torch.arange(full.shape[2], dtype=torch.float32, device=full.device)
     levels_px = window[0] + levels - (VOLUME_STEP_PX - 1) / 2
-    return torch.einsum("bdhw,d->bhw", full[:, 0].softmax(dim=1), levels_px)
+    # No einsum: autocast computes it in bf16, which knows 100 px to half a pixel.
+    return (full[:, 0].softmax(dim=1) * levels_px[:, None, None]).sum(dim=1)
 
 
 def initialise_psmnet(module: nn.Module) -> None:

@@ -106,7 +106,8 @@ def concatenate_views(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window) -> 
 def expect_disparity(logits_BDHW: Tensor, *, window: Window) -> Tensor:
     """Expectation over all planes (soft argmin; Kendall et al., 2017): (B, H, W) float32, full-size px."""
     planes = plane_disparities_px(window, device=logits_BDHW.device)
-    return torch.einsum("bdhw,d->bhw", logits_BDHW.float().softmax(dim=1), planes)
+    # No einsum: autocast computes it in bf16, which knows 100 px to half a pixel.
+    return (logits_BDHW.float().softmax(dim=1) * planes[:, None, None]).sum(dim=1)
 
 
 def expect_disparity_at_mode(logits_BDHW: Tensor, *, window: Window, reach: int = 2) -> Tensor:
