@@ -7,10 +7,15 @@ from collections.abc import Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
+
 from telewide.capture.images import read_image
 from telewide.capture.pair import RectifiedPair
 from telewide.capture.rundir import RunFolder
-from telewide.output.report import Curve, NextStep, ReportRow, thumbnail, write_report
+from telewide.geometry.stereo import DisparityMap
+from telewide.output.depth import DepthResult
+from telewide.output.preview import disparity_panel, display_range_px
+from telewide.output.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
 
 LOG_NAME = "log.jsonl"
 
@@ -25,10 +30,10 @@ def report_row(pair: RectifiedPair, folder: Path, *, root: Path, numbers: Mappin
         numbers: as the pipeline gives them.
     """
     pictures = [thumbnail("wide", pair.wide), thumbnail("tele", pair.tele)]
-    for label, name in (("disparity", "preview.png"), ("bokeh", "bokeh.jpg")):
-        path = folder / name
-        if path.is_file():
-            pictures.append(thumbnail(label, read_image(path), link=_link(path, root)))
+    pictures.append(_disparity_picture(folder, root))
+    bokeh = folder / "bokeh.jpg"
+    if bokeh.is_file():
+        pictures.append(thumbnail("bokeh", read_image(bokeh), link=_link(bokeh, root)))
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
 
 
@@ -45,12 +50,10 @@ def write_page(run: RunFolder, rows: Iterable[ReportRow], *, recipe: str, captur
         Path of the page.
     """
     steps = (
+        NextStep("Train longer, for better depth:", f"telewide run {captures} --out {run.root}-default"),
         NextStep(
-            "Train longer, for better depth:", f"telewide train {captures} --recipe default --out {run.root}-default"
-        ),
-        NextStep(
-            "Focus elsewhere, by a point of the tele photo:",
-            f"telewide depth {captures} --run {run.root} --bokeh --focus 120,80",
+            "Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):",
+            f"telewide depth {captures} --run {run.root} --bokeh --focus near",
         ),
         NextStep("Your own photos:", "telewide run my-captures/"),
     )
@@ -84,6 +87,17 @@ def training_curves(log: Path) -> tuple[Curve, ...]:
     ]
     named = (("loss", losses), ("held-out matches off by more than 1 px, %", answers))
     return tuple(curve(label, points) for label, points in named if points)
+
+
+def _disparity_picture(folder: Path, root: Path) -> Picture:
+    """The map alone, as large as the photos beside it; it leads to the preview with its scale."""
+    with np.load(folder / "depth.npz", allow_pickle=False) as arrays:
+        disparity = DisparityMap(arrays["disparity"], arrays["confidence"], arrays["valid"])
+    height, width = disparity.disparity_px.shape
+    panel = disparity_panel(DepthResult(name=folder.name, disparity=disparity), wh=(width, height))
+    low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)
+    label = f"disparity, {low_px:.0f} (blue) to {high_px:.0f} px (red); hatched: filled in"
+    return thumbnail(label, panel, link=_link(folder / "preview.png", root))
 
 
 def _stage_starts(entries: list[dict[str, object]]) -> dict[str, int]:

@@ -23,7 +23,7 @@ from telewide.output.kept import KeptDepth, read_kept, write_kept
 from telewide.simulate.captures import write_captures
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}
-TINY = ("--set", "train.rehearsal.steps=2", "--set", "train.feature.steps=1", "--set", "train.crop_hw=[64, 96]")
+TINY = ("train.rehearsal.steps=2", "train.feature.steps=1", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
 
 
 def run_cli(*words: str) -> int:
@@ -173,7 +173,8 @@ class TestNothingIsDoneTwice:
     def test_a_whole_run_again_only_says_so(
         self, simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        words = ("run", str(simulated), "--recipe", "quick", "--out", str(tmp_path / "run"), *TINY)
+        words = ("run", str(simulated), "--recipe", "quick", "--out", str(tmp_path / "run"))
+        words += tuple(word for setting in TINY for word in ("--set", setting))
         first = json_of(capsys, *words)
         assert Path(str(first["report"])).is_file()
         assert list((tmp_path / "run" / "train").glob("*.png"))
