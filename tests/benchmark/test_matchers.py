@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from telewide.benchmark.matchers import all_matchers
+from telewide.errors import UsageError
+
+
+def save(path: Path, *, seed: int) -> None:
+    from telewide.matching.networks import build_network
+    from telewide.training.checkpoint import WeightsCard, save_weights
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(build_network("lite", seed=seed), path, card=WeightsCard("lite", (0, 32), {}, {}))
+
+
+def test_stages_come_in_the_order_of_training(tmp_path: Path) -> None:
+    train = tmp_path / "mine" / "train"
+    for seed, stage in enumerate(("feature-10", "feature-2", "rehearsal", "photometric")):
+        save(train / f"{stage}.safetensors", seed=seed)
+    save(train / "weights.safetensors", seed=0)  # the very weights of feature-10
+    expected = ["rehearsal", "photometric", "feature-2", "feature-10"]
+    found = all_matchers([tmp_path / "mine"], device="cpu")
+    assert [matcher.name for matcher in found] == ["sgm", *(f"mine/{stage}" for stage in expected)]
+    save(train / "weights.safetensors", seed=9)  # a training under way
+    assert all_matchers([tmp_path / "mine"], device="cpu")[-1].name == "mine/result"
+
+
+def test_a_weights_file_is_a_matcher_with_its_window(tmp_path: Path, rng: np.random.Generator) -> None:
+    save(tmp_path / "kept.safetensors", seed=0)
+    matcher = all_matchers([tmp_path / "kept.safetensors"], device="cpu")[-1]
+    assert (matcher.name, matcher.window) == ("kept", (0, 32))
+    ref, src = rng.random((2, 64, 96, 3), dtype=np.float32)
+    assert matcher.match(ref, src, (0, 16)).disparity_px.shape == (64, 96)
+
+
+def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    runs = [tmp_path / place / "run" for place in ("a", "b")]
+    for run in runs:
+        save(run / "train" / "rehearsal.safetensors", seed=0)
+    names = [matcher.name for matcher in all_matchers(runs, device="cpu")]
+    assert len(set(names)) == 3
+
+
+def test_a_folder_without_weights_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no trained network"):
+        all_matchers([tmp_path], device="cpu")

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from telewide.benchmark.matchers import Matcher
+from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
+from telewide.benchmark.report import BenchmarkReport
+from telewide.capture.images import read_pfm
+from telewide.capture.rundir import RunFolder
+from telewide.geometry.stereo import DisparityMap
+from telewide.matching.window import Window
+from telewide.recipe import Recipe
+from telewide.simulate.captures import write_captures
+
+Map = NDArray[np.float32]
+OFF_PX = 2.0
+
+
+def answering(name: str, disparity_px: Map) -> Matcher:
+    """A matcher that always gives one map."""
+
+    def match(ref: Map, src: Map, window: Window) -> DisparityMap:
+        assert ref.shape == src.shape == (*disparity_px.shape, 3)
+        return DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+
+    return Matcher(name, match)
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("matches") / "captures"
+    write_captures(root, count=1, seed=3, hw=(224, 320), factor=2)
+    return root
+
+
+def measured(captures: Path, *, trained_runs: tuple[RunFolder, ...] = ()) -> BenchmarkReport:
+    (truth_path,) = captures.glob("*/truth.pfm")
+    truth_px = read_pfm(truth_path)
+    right, off = answering("right", truth_px), answering("off", truth_px + np.float32(OFF_PX))
+    return benchmark_matches(
+        captures,
+        [Entrant(right), Entrant(right, is_corrected=False), Entrant(off)],
+        run=RunFolder(captures.parent / "run"),
+        recipe=Recipe(),
+        tell=lambda _: None,
+        trained_runs=trained_runs,
+    )
+
+
+def test_the_truth_misses_few_matches_and_a_shifted_one_nearly_all(captures: Path) -> None:
+    right, uncorrected, off = measured(captures).rows
+    assert int(str(right["matches"])) > 20
+    assert float(str(right["off_1px"])) < 0.1
+    assert uncorrected == {**right, "matcher": "right, uncorrected"}
+    assert float(str(off["off_1px"])) > 0.9
+    assert float(str(off["off_3px"])) < 0.1
+    assert float(str(off["mean_px"])) == pytest.approx(OFF_PX, abs=0.3)
+
+
+def test_without_a_record_no_capture_counts_as_unseen(captures: Path) -> None:
+    report = measured(captures)
+    assert {row["captures"] for row in report.rows} == {"all"}
+    assert "unseen" in report.notes[-1]
+    assert len(matches_table(report).splitlines()) == 2 + 3
+
+
+def test_captures_that_every_training_held_out_get_their_own_lines(captures: Path, tmp_path: Path) -> None:
+    (folder,) = (path for path in captures.iterdir() if path.is_dir())
+    runs = tuple(RunFolder(tmp_path / name) for name in ("first", "second"))
+    for run, held_out in zip(runs, ([folder.name], []), strict=True):
+        record = {"recipe": {}, "window": [0, 64], "captures": [folder.name], "held_out": held_out}
+        run.train.mkdir(parents=True)
+        (run.train / "training.json").write_text(json.dumps(record))
+    report = measured(captures, trained_runs=runs[:1])
+    assert [row["captures"] for row in report.rows] == ["all"] * 3 + ["held out"] * 3
+    assert dataclasses.replace(report).options["window"] == [0, 64]
+    both = measured(captures, trained_runs=runs)  # the second training has seen it
+    assert {row["captures"] for row in both.rows} == {"all"}

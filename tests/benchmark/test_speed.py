@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from telewide.benchmark.memory import SGM, MemoryCase, measure_peak, peak_resident_bytes
+from telewide.benchmark.report import write_report_json
+from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
+from telewide.errors import TelewideError, UsageError
+
+TINY = SpeedOptions(
+    device="cpu",
+    repeats=1,
+    warm_up=0,
+    crop_hw=(128, 192),
+    crop_window=(0, 32),
+    image_hw=(64, 96),
+    image_window=(0, 32),
+)
+
+
+def test_peak_of_this_process_never_falls() -> None:
+    before = peak_resident_bytes()
+    block = bytearray(64 << 20)
+    block[:: 1 << 12] = b"x" * len(block[:: 1 << 12])
+    assert peak_resident_bytes() >= before
+    assert before > 1 << 20
+
+
+def test_larger_pictures_take_more_memory() -> None:
+    # Made large on purpose: a child must not be charged with the memory of the process that started it.
+    ballast = bytearray(b"x") * (600 << 20)
+    small, large = (
+        measure_peak(MemoryCase(SGM, "-", hw, (0, 64), "cpu")).process_bytes for hw in ((64, 96), (320, 640))
+    )
+    assert len(ballast) > 0
+    volume_bytes = 2 * 64 * 320 * 640
+    assert 0 < small < volume_bytes < large < 600 << 20
+
+
+def test_a_child_that_fails_is_told() -> None:
+    with pytest.raises(TelewideError, match="memory of sgm"):
+        measure_peak(MemoryCase(SGM, "-", (64, 96), (0, 1), "cpu"))
+
+
+@pytest.mark.parametrize("options", [SpeedOptions(matchers=("best",)), SpeedOptions(repeats=0)])
+def test_wrong_options_are_refused(options: SpeedOptions) -> None:
+    with pytest.raises(UsageError):
+        measure_speed(options, tell=lambda _: None)
+
+
+@pytest.mark.slow
+def test_every_matcher_gets_a_line(tmp_path: Path) -> None:
+    from telewide.benchmark.networks import available_precisions
+    from telewide.matching.inference import choose_device
+    from telewide.matching.networks import NETWORKS
+
+    report = measure_speed(TINY, tell=lambda _: None)
+    precisions = available_precisions(choose_device("cpu"))
+    expected = [(SGM, "-"), *((name, precision) for name in NETWORKS for precision in precisions)]
+    assert [(row["matcher"], row["precision"]) for row in report.rows] == expected
+    assert len(speed_table(report).splitlines()) == 2 + len(expected)
+    write_report_json(report, tmp_path / "speed.json")
+    content = json.loads((tmp_path / "speed.json").read_text())
+    assert content["machine"]["device"] == "cpu"
+    for row in content["rows"]:
+        assert row["inference"]["repeats"] == 1
+        assert row["megapixels_per_s"] == pytest.approx(64 * 96 / 1e6 / row["inference"]["median_s"])
+        assert (row["training_step"] is None) == (row["matcher"] == SGM)
+        assert row["peak_memory_bytes"] > 0
+        assert row["peak_gpu_bytes"] is None
