@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
@@ -96,7 +97,7 @@ def _disparity_picture(folder: Path, root: Path) -> Picture:
     height, width = disparity.disparity_px.shape
     panel = disparity_panel(DepthResult(name=folder.name, disparity=disparity), wh=(width, height))
     low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)
-    label = f"disparity, {low_px:.0f} (blue) to {high_px:.0f} px (red); hatched: filled in"
+    label = f"disparity, {round(low_px)} to {round(high_px)} px; hatched: filled in"
     return thumbnail(label, panel, link=_link(folder / "preview.png", root))
 
 
@@ -122,11 +123,14 @@ def _table_line(numbers: Mapping[str, float]) -> dict[str, float | None]:
         "EPE_px": ("EPE, px", 1.0),
         "match_s": ("matching, s", 1.0),
     }
-    return {
-        heading: numbers[name] * factor if numbers[name] == numbers[name] else None
+    line: dict[str, float | None] = {
+        heading: numbers[name] * factor if math.isfinite(numbers[name]) else None
         for name, (heading, factor) in headings.items()
         if name in numbers
     }
+    if "matches" in numbers:
+        line["held-out matches"] = int(numbers["matches"])
+    return line
 
 
 def _link(path: Path, root: Path) -> str | None:
