@@ -9,7 +9,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -18,9 +18,9 @@ from typing import Protocol
 import torch
 
 from telewide.errors import TelewideError, UsageError
-from telewide.matching.inference import low_precision
+from telewide.matching.inference import full_precision, low_precision
 from telewide.matching.networks import StereoNetwork, standardise
-from telewide.matching.window import Window
+from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.training.checkpoint import (
     STATE_NAME,
     WEIGHTS_NAME,
@@ -44,6 +44,7 @@ WARM_UP_STEPS = 50
 COOL_DOWN_SHARE = 0.25
 LAST_LEARNING_RATE = 0.1
 MAX_GRADIENT_NORM = 1.0
+NARROW_WINDOW_PLANES = 8
 LEAST_GAIN = 0.002
 """A judgement is better when the share of wrong matches falls by this much."""
 
@@ -193,7 +194,7 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(stage, step=state.step)
     state.optimiser.zero_grad(set_to_none=True)
-    with low_precision(training.device):
+    with _precision(training):
         output = state.network(standardise(batch.ref_BCHW), standardise(batch.src_BCHW), training.window)
         loss, parts = objective(
             output,
@@ -214,6 +215,17 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
     state.optimiser.step()
     _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
     return parts
+
+
+def _precision(training: Training) -> AbstractContextManager[object]:
+    """bf16, but not on processors in narrow windows.
+
+    There the coarsest volume has two planes, and oneDNN's bf16 gradient of a 3-D convolution over two planes reads
+    memory that nobody has written (seen in torch 2.13: infinite and wrong weights' gradients, every time).
+    """
+    planes = (training.window[1] - training.window[0]) // VOLUME_STEP_PX
+    is_narrow = planes <= NARROW_WINDOW_PLANES
+    return full_precision() if is_narrow and training.device.type == "cpu" else low_precision(training.device)
 
 
 def _diverged(what: str, stage: Stage, state: TrainingState) -> TelewideError:

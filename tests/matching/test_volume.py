@@ -121,6 +121,16 @@ def test_expectation_of_a_symmetric_peak_is_its_centre() -> None:
         assert float(disparity) == pytest.approx(centre_px, abs=0.05)
 
 
+def test_expectations_stay_float32_under_autocast() -> None:
+    logits = 3 * randn(1, 32, 4, 5)
+    window = (0, 128)
+    for expect in (expect_disparity, expect_disparity_at_mode):
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            low = expect(logits, window=window)
+        assert low.dtype == torch.float32
+        assert torch.equal(low, expect(logits, window=window))
+
+
 def test_at_the_mode_nothing_lies_between_two_surfaces() -> None:
     """Two peaks 40 px apart, every mixture of them: the answer stays at one of the two; the full mean does not."""
     window = (0, 64)

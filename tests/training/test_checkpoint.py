@@ -1,0 +1,158 @@
+"""Checkpoints and weights: nothing is lost on the way, and damaged, foreign or half-written files are refused."""
+
+from __future__ import annotations
+
+import pickle
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from training.small import CPU, WINDOW
+
+from telewide.errors import InputError, TelewideError
+from telewide.matching.networks import build_network
+from telewide.training.checkpoint import (
+    TrainingState,
+    WeightsCard,
+    frozen_extractor,
+    load_state,
+    load_weights,
+    new_state,
+    save_state,
+    save_weights,
+)
+
+CARD = WeightsCard("lite", WINDOW, {"network": "lite", "seed": 3}, {"stage": "rehearsal", "step": 7, "off_1px": [0.2]})
+
+
+def a_state() -> TrainingState:
+    """Of a training under way: moments, extractor and counters are filled."""
+    state = new_state("lite", seed=1, device=CPU)
+    sum(parameter.square().sum() for parameter in state.network.parameters()).backward()
+    state.optimiser.step()
+    state.teacher = frozen_extractor(build_network("lite", seed=2))
+    state.stage_index, state.step, state.best_stage = 2, 41, 1
+    state.judgements, state.stage_judgements = [0.5, 0.25], [0.75, 0.5]
+    return state
+
+
+@contextmanager
+def full_disk(max_bytes: int) -> Iterator[None]:
+    """No file can grow beyond ``max_bytes``."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_state_comes_back_as_it_was(tmp_path: Path) -> None:
+    state = a_state()
+    save_state(state, tmp_path / "state.pt")
+    back = load_state(tmp_path / "state.pt", network_name="lite", device=CPU)
+    for name in ("stage_index", "step", "judgements", "stage_judgements", "is_finished", "best_stage"):
+        assert getattr(back, name) == getattr(state, name)
+    assert back.teacher is not None
+    assert state.teacher is not None
+    for kept, other in ((state.network, back.network), (state.average, back.average), (state.teacher, back.teacher)):
+        for a, b in zip(kept.state_dict().values(), other.state_dict().values(), strict=True):
+            assert torch.equal(a, b)
+    for a, b in zip(state.network.parameters(), back.network.parameters(), strict=True):
+        assert torch.equal(state.optimiser.state[a]["exp_avg"], back.optimiser.state[b]["exp_avg"])
+        assert torch.equal(state.optimiser.state[a]["exp_avg_sq"], back.optimiser.state[b]["exp_avg_sq"])
+        assert a.stride() == b.stride(), "the memory order decides how fast it computes, and how it rounds"
+    assert not any(p.requires_grad for p in back.teacher.parameters())
+
+
+def test_a_new_state_has_no_teacher(tmp_path: Path) -> None:
+    save_state(new_state("lite", seed=1, device=CPU), tmp_path / "state.pt")
+    assert load_state(tmp_path / "state.pt", network_name="lite", device=CPU).teacher is None
+
+
+class _Bomb:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (Path.touch, (Path("exploded"),))
+
+
+def test_damaged_or_foreign_states_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "state.pt"
+    save_state(new_state("lite", seed=1, device=CPU), path)
+    whole = path.read_bytes()
+    bad = {
+        "empty": b"",
+        "half": whole[: len(whole) // 2],
+        "cut by a byte": whole[:-1],
+        "text": b"no checkpoint at all",
+        "pickle": pickle.dumps({"network": _Bomb()}, protocol=2),
+    }
+    for name, content in bad.items():
+        path.write_bytes(content)
+        with pytest.raises(InputError) as raised:
+            load_state(path, network_name="lite", device=CPU)
+        assert str(path) in raised.value.message, name
+        assert "--fresh" in str(raised.value.hint)
+    for foreign in ({"something": 1}, [1, 2], build_network("lite").state_dict()):
+        torch.save(foreign, path)
+        with pytest.raises(InputError):
+            load_state(path, network_name="lite", device=CPU)
+    assert not Path("exploded").exists(), "reading a checkpoint must not run what is in it"
+
+
+def test_a_state_of_another_network_is_refused(tmp_path: Path) -> None:
+    save_state(new_state("lite", seed=1, device=CPU), tmp_path / "state.pt")
+    with pytest.raises(InputError, match="psmnet-s"):
+        load_state(tmp_path / "state.pt", network_name="psmnet-s", device=CPU)
+
+
+@pytest.mark.parametrize("name", ["lite", "psmnet-s"])
+def test_weights_come_back_with_their_card(tmp_path: Path, name: str) -> None:
+    network = build_network(name, seed=4)
+    card = WeightsCard(name, (-16, 48), {"a": {"b": 1.5}}, {"step": 3})
+    save_weights(network, tmp_path / "w.safetensors", card=card)
+    back, read = load_weights(tmp_path / "w.safetensors", device=CPU)
+    assert read == card
+    assert not back.training
+    for a, b in zip(network.state_dict().values(), back.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_damaged_or_foreign_weights_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    save_weights(build_network("lite"), path, card=CARD)
+    whole = path.read_bytes()
+    for content in (b"", b"text", whole[: len(whole) // 2], whole[:-1]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"w\.safetensors"):
+            load_weights(path, device=CPU)
+    save_file({"x": torch.zeros(3)}, path)
+    with pytest.raises(InputError):
+        load_weights(path, device=CPU)
+    unknown = WeightsCard("another-network", WINDOW, {}, {})
+    save_weights(build_network("lite"), path, card=unknown)
+    with pytest.raises(TelewideError, match="another-network"):
+        load_weights(path, device=CPU)
+    with pytest.raises(InputError):
+        load_weights(tmp_path / "missing.safetensors", device=CPU)
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path) -> None:
+    state = a_state()
+    save_state(state, tmp_path / "state.pt")
+    save_weights(state.average, tmp_path / "w.safetensors", card=CARD)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    state.step += 1
+    with full_disk(100_000):
+        with pytest.raises(TelewideError, match=r"state\.pt was not written") as raised:
+            save_state(state, tmp_path / "state.pt")
+        with pytest.raises(TelewideError, match=r"w\.safetensors was not written"):
+            save_weights(state.average, tmp_path / "w.safetensors", card=CARD)
+    assert "space" in str(raised.value.hint)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert load_state(tmp_path / "state.pt", network_name="lite", device=CPU).step == state.step - 1
+    load_weights(tmp_path / "w.safetensors", device=CPU)

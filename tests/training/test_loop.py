@@ -1,0 +1,338 @@
+"""The loop: what is resumed is what would have been, stages end when they should, and nothing bad is kept."""
+
+from __future__ import annotations
+
+import signal
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import torch
+from training.small import CPU, CROP_HW, Heard, ScriptedJudge, stage_of, three_stages, training_in
+
+from telewide.errors import TelewideError, UsageError
+from telewide.matching.inference import full_precision
+from telewide.matching.networks import NETWORKS, StereoNetwork, build_network
+from telewide.training import loop
+from telewide.training.checkpoint import (
+    STATE_NAME,
+    WEIGHTS_NAME,
+    TrainingState,
+    load_state,
+    load_weights,
+    new_state,
+    save_state,
+)
+from telewide.training.data import StepBatches
+from telewide.training.loop import COOL_DOWN_SHARE, LAST_LEARNING_RATE, WARM_UP_STEPS, learning_rate, take_step, train
+from telewide.training.objective import Batch
+from telewide.training.options import TrainOptions
+from telewide.training.processes import Processes
+from telewide.training.samples import SampleSource
+from telewide.training.stages import plan_stages
+
+
+def fresh() -> TrainingState:
+    return new_state("lite", seed=1, device=CPU)
+
+
+def is_same(a: torch.nn.Module, b: torch.nn.Module) -> bool:
+    return all(torch.equal(x, y) for x, y in zip(a.state_dict().values(), b.state_dict().values(), strict=True))
+
+
+def short(**options: object) -> TrainOptions:
+    """Only what is named, at one judgement a step."""
+    content: dict[str, object] = {"crop_hw": CROP_HW, "judge_every_steps": 1, "stages": 3}
+    return TrainOptions.model_validate({**content, **options})
+
+
+PHOTOMETRIC = {"steps": 1, "captured": 1}
+FEATURE = {"steps": 1, "captured": 1, "captured_loss": "feature"}
+
+
+# Stopping and going on
+
+
+def test_resumed_training_is_the_uninterrupted_one(
+    tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped three times, where it hurts: at a judgement, at the end of a stage, under a frozen extractor."""
+    whole = Heard()
+    judge = ScriptedJudge((0.9, 0.8, 0.7, 0.6, 0.5, 0.4))
+    finished = train(training_in(tmp_path / "whole", source, judge=judge), fresh(), reporter=whole)
+    assert list(whole.losses) == [
+        (name, step) for name in ("rehearsal", "photometric", "feature-1") for step in range(1, 5)
+    ]
+
+    pieces = Heard()
+    judge = ScriptedJudge((0.9, 0.8, 0.7, 0.6, 0.5, 0.4))
+    training = training_in(tmp_path / "pieces", source, judge=judge)
+    state = fresh()
+    for stop in (("rehearsal", 3), ("photometric", 4), ("feature-1", 2)):
+        pieces.after_step = lambda name, step, stop=stop: (
+            signal.raise_signal(signal.SIGINT) if (name, step) == stop else None
+        )
+        with pytest.raises(KeyboardInterrupt):
+            train(training, state, reporter=pieces)
+        state = load_state(tmp_path / "pieces" / STATE_NAME, network_name="lite", device=CPU)
+        load_weights(tmp_path / "pieces" / WEIGHTS_NAME, device=CPU)
+    pieces.after_step = None
+    resumed = train(training, state, reporter=pieces)
+
+    assert pieces.losses == whole.losses
+    assert pieces.judgements == whole.judgements
+    assert is_same(resumed.network, finished.network)
+    assert is_same(resumed.average, finished.average)
+    assert resumed.stage_judgements == finished.stage_judgements == [0.8, 0.6, 0.4]
+
+
+def test_a_checkpoint_taken_anywhere_leads_to_the_same_end(
+    tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after a kill: every checkpoint the loop writes by itself is tried, none of them after a polite stop."""
+    monkeypatch.setattr(loop, "CHECKPOINT_EVERY_S", 0.0)
+    kept: dict[tuple[int, int], bytes] = {}
+    training = training_in(tmp_path, source, options=short(photometric={**PHOTOMETRIC, "steps": 3}, stages=0))
+
+    def keep(name: str, step: int) -> None:
+        path = tmp_path / STATE_NAME
+        if path.is_file():
+            state = load_state(path, network_name="lite", device=CPU)
+            kept[state.stage_index, state.step] = path.read_bytes()
+
+    whole = Heard(after_step=keep)
+    end = train(training, fresh(), reporter=whole)
+    assert sorted(kept) == [(0, 1), (0, 2)]
+    for (_, step), content in kept.items():
+        (tmp_path / STATE_NAME).write_bytes(content)
+        again = Heard()
+        state = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
+        assert is_same(train(training, state, reporter=again).average, end.average)
+        assert again.losses == {key: value for key, value in whole.losses.items() if key[1] > step}
+        assert again.judgements == [answer for answer in whole.judgements if answer[1] > step]
+
+
+def test_a_second_interrupt_stops_at_once(tmp_path: Path, source: SampleSource) -> None:
+    def twice(name: str, step: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(training_in(tmp_path, source), fresh(), reporter=Heard(after_step=twice))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_interrupts_are_as_usual_after_training(tmp_path: Path, source: SampleSource) -> None:
+    train(training_in(tmp_path, source, options=short(photometric=PHOTOMETRIC, stages=0)), fresh(), reporter=Heard())
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+# What must not be kept
+
+
+def test_a_loss_that_is_no_number_stops_before_the_weights(tmp_path: Path, source: SampleSource) -> None:
+    stage = stage_of(steps=3, rehearsed=1, captured=1)
+    training = training_in(tmp_path, source)
+    state = fresh()
+    good = StepBatches(source, stage, seed=0)[0]
+    take_step(state, good, stage, training=training)
+    save_state(state, tmp_path / STATE_NAME)
+    poisoned = Batch(good.ref_BCHW * torch.nan, good.src_BCHW, good.truth_px_BHW, good.n_rehearsed)
+    with pytest.raises(TelewideError, match="not a number") as raised:
+        take_step(state, poisoned, stage, training=training)
+    assert "train.rehearsal.learning_rate" in str(raised.value.hint)
+    kept = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
+    assert is_same(kept.network, state.network)
+    assert is_same(kept.average, state.average)
+
+
+def test_a_gradient_that_is_no_number_stops_before_the_weights(
+    tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A root at zero has a finite value and no finite slope."""
+
+    class Rooted(StereoNetwork):
+        def forward(self, ref: torch.Tensor, src: torch.Tensor, window: tuple[int, int]) -> object:  # type: ignore[override]
+            output = super().forward(ref, src, window)
+            output.disparities_px[-1] = output.disparities_px[-1] + (output.disparities_px[-1] * 0).abs().sqrt()
+            return output
+
+    def build() -> StereoNetwork:
+        plain = build_network("lite", seed=1)
+        return Rooted(plain.features, plain.matching)
+
+    monkeypatch.setitem(NETWORKS, "rooted", build)
+    state = new_state("rooted", seed=1, device=CPU)
+    stage = stage_of(steps=3, rehearsed=1)
+    before = {name: tensor.clone() for name, tensor in state.network.state_dict().items()}
+    with pytest.raises(TelewideError, match="gradient"):
+        take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training_in(tmp_path, source))
+    assert all(torch.equal(before[name], tensor) for name, tensor in state.network.state_dict().items())
+
+
+def test_a_training_that_diverges_keeps_the_last_good_checkpoint(
+    tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "CHECKPOINT_EVERY_S", 0.0)
+    monkeypatch.setattr(loop, "WARM_UP_STEPS", 1)
+    options = short(rehearsal={"steps": 9, "rehearsed": 1, "learning_rate": 1e25}, stages=0, judge_every_steps=100)
+    with pytest.raises(TelewideError, match="last good checkpoint is kept"):
+        train(training_in(tmp_path, source, options=options), fresh(), reporter=Heard())
+    state = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
+    assert all(bool(parameter.isfinite().all()) for parameter in state.network.parameters())
+
+
+# When stages end
+
+
+def test_a_plateau_ends_a_stage(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 9}, stages=0, patience=2)
+    heard = Heard()
+    judge = ScriptedJudge((0.5, 0.4, 0.399, 0.4))  # two answers in a row that gain less than 0.002
+    train(training_in(tmp_path, source, options=options, judge=judge), fresh(), reporter=heard)
+    assert len(heard.losses) == 4
+    assert heard.finished == ["photometric"]
+
+
+def test_no_plateau_ends_a_stage_before_its_least_steps(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 9, "least_steps": 6}, stages=0, patience=1)
+    heard = Heard()
+    train(training_in(tmp_path, source, options=options, judge=ScriptedJudge((0.5,))), fresh(), reporter=heard)
+    assert len(heard.losses) == 6
+
+
+@pytest.mark.parametrize("answers", [(0.9, 0.7, 0.5, 0.3, 0.1), (float("nan"),)])
+def test_a_stage_that_gets_better_goes_on_to_its_ceiling(
+    tmp_path: Path, source: SampleSource, answers: tuple[float, ...]
+) -> None:
+    """And one that cannot be judged, for want of matches, too."""
+    options = short(photometric={**PHOTOMETRIC, "steps": 5}, stages=0, patience=1)
+    heard = Heard()
+    state = train(training_in(tmp_path, source, options=options, judge=ScriptedJudge(answers)), fresh(), reporter=heard)
+    assert len(heard.losses) == 5
+    assert state.is_finished
+
+
+def test_boosting_stops_when_the_judge_no_longer_falls(tmp_path: Path, source: SampleSource) -> None:
+    heard = Heard()
+    training = training_in(
+        tmp_path,
+        source,
+        options=short(photometric=PHOTOMETRIC, feature=FEATURE, average_decay=0.0),
+        judge=ScriptedJudge((0.5, 0.4, 0.45, 0.1)),
+    )
+    state = train(training, fresh(), reporter=heard)
+    assert heard.finished == ["photometric", "feature-1", "feature-2"]
+    assert plan_stages(training.options)[state.best_stage].name == "feature-1"
+    assert [m for m in heard.messages if "feature-2" in m and "feature-1 is kept" in m]
+    best, _ = load_weights(tmp_path / "feature-1.safetensors", device=CPU)
+    worse, _ = load_weights(tmp_path / "feature-2.safetensors", device=CPU)
+    result, card = load_weights(tmp_path / WEIGHTS_NAME, device=CPU)
+    assert is_same(result, best)
+    assert is_same(state.average, best)
+    assert not is_same(result, worse)
+    assert card.training["stage"] == "feature-1"
+    assert state.stage_judgements == [0.5, 0.4, 0.45]
+
+
+def test_boosting_goes_on_while_the_judge_falls(tmp_path: Path, source: SampleSource) -> None:
+    heard = Heard()
+    training = training_in(
+        tmp_path,
+        source,
+        options=short(photometric=PHOTOMETRIC, feature=FEATURE),
+        judge=ScriptedJudge((0.5, 0.4, 0.3, 0.2)),
+    )
+    state = train(training, fresh(), reporter=heard)
+    assert heard.finished == ["photometric", "feature-1", "feature-2", "feature-3"]
+    assert state.best_stage == 3
+    assert state.is_finished
+    assert heard.messages == []
+
+
+def test_a_finished_training_takes_no_step(tmp_path: Path, source: SampleSource) -> None:
+    training = training_in(tmp_path, source, options=short(photometric=PHOTOMETRIC, stages=0))
+    state = train(training, fresh(), reporter=Heard())
+    heard = Heard()
+    train(training, state, reporter=heard)
+    assert heard.losses == {}
+
+
+def test_each_stage_compares_by_the_extractor_of_the_one_before(tmp_path: Path, source: SampleSource) -> None:
+    teachers: list[torch.nn.Module] = []
+    state = fresh()
+    heard = Heard(after_step=lambda name, step: teachers.append(state.teacher) if state.teacher is not None else None)
+    training = training_in(
+        tmp_path,
+        source,
+        options=short(photometric=PHOTOMETRIC, feature=FEATURE, stages=2),
+        judge=ScriptedJudge((0.5, 0.4, 0.3)),
+    )
+    train(training, state, reporter=heard)
+    before = [load_weights(tmp_path / f"{name}.safetensors", device=CPU)[0] for name in ("photometric", "feature-1")]
+    assert len(teachers) == 2
+    assert all(is_same(teacher, network.features) for teacher, network in zip(teachers, before, strict=True))
+
+
+# Steps
+
+
+def test_learning_rate_warms_up_and_cools_down() -> None:
+    stage = stage_of(steps=1000, rehearsed=1, learning_rate=2e-3)
+    rates = [learning_rate(stage, step=step) for step in range(1000)]
+    assert rates[0] == pytest.approx(2e-3 / WARM_UP_STEPS)
+    assert rates[WARM_UP_STEPS - 1 : 750] == pytest.approx([2e-3] * (751 - WARM_UP_STEPS))
+    assert all(a > b for a, b in pairwise(rates[751:]))
+    assert rates[-1] == pytest.approx(2e-3 * (LAST_LEARNING_RATE + 0.9 * 0.001 / COOL_DOWN_SHARE))
+
+
+def test_the_average_follows_the_weights(tmp_path: Path, source: SampleSource) -> None:
+    stage = stage_of(steps=30, rehearsed=1)
+    state = fresh()
+    training = training_in(tmp_path, source, options=three_stages(average_decay=0.0))
+    take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training)
+    assert is_same(state.average, state.network), "no decay keeps the last weights"
+    state, training = fresh(), training_in(tmp_path, source, options=three_stages(average_decay=0.9))
+    start = {name: tensor.clone() for name, tensor in state.network.state_dict().items()}
+    state.step = 20
+    take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training)
+    weight = 1 - min(0.9, 21 / 30)
+    for name, now in state.network.state_dict().items():
+        expected = torch.lerp(start[name], now, weight)
+        torch.testing.assert_close(state.average.state_dict()[name], expected)
+
+
+def test_a_network_added_by_name_trains(tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One line in NETWORKS is all a new network needs."""
+    monkeypatch.setitem(NETWORKS, "twin", NETWORKS["lite"])
+    state = new_state("twin", seed=1, device=CPU)
+    before = [parameter.detach().clone() for parameter in state.network.parameters()]
+    train(training_in(tmp_path, source, options=short(photometric=PHOTOMETRIC, stages=0)), state, reporter=Heard())
+    assert any(not torch.equal(a, b) for a, b in zip(before, state.network.parameters(), strict=True))
+
+
+def test_psmnet_trains_a_step(tmp_path: Path, source: SampleSource) -> None:
+    state = new_state("psmnet-s", seed=1, device=CPU)
+    stage = stage_of(steps=2, captured=1, captured_loss="photometric", swaps_views=True)
+    losses = take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training_in(tmp_path, source))
+    assert losses["photometric"] > 0
+
+
+@pytest.mark.parametrize("name", ["lite", "psmnet-s"])
+def test_narrow_windows_are_trained_in_full_precision(tmp_path: Path, source: SampleSource, name: str) -> None:
+    """Two planes at the coarsest level: a bf16 kernel would add what happens to lie in memory."""
+    stage = stage_of(steps=2, captured=1, captured_loss="photometric")
+    states = [new_state(name, seed=1, device=CPU) for _ in range(2)]
+    batch = StepBatches(source, stage, seed=0)[0]
+    take_step(states[0], batch, stage, training=training_in(tmp_path, source))
+    with full_precision():
+        take_step(states[1], batch, stage, training=training_in(tmp_path, source))
+    assert is_same(states[0].network, states[1].network)
+
+
+def test_more_processes_than_crops_are_refused(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "captured": 2}, stages=0)
+    training = training_in(tmp_path, source, options=options, processes=Processes(rank=1, world=3))
+    with pytest.raises(UsageError, match="2 crops a step") as raised:
+        train(training, fresh(), reporter=Heard())
+    assert "train.photometric.captured" in str(raised.value.hint) or "photometric" in str(raised.value.hint)
