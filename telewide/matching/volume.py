@@ -44,8 +44,8 @@ def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, grou
     ref, src = _unit_groups(ref_BCHW, groups), _unit_groups(src_BCHW, groups)
     shifts = _shifts(window)
     padded = functional.pad(src, (max(shifts[-1], 0), max(-shifts[0], 0)))
-    volume: Tensor = _Correlation.apply(ref, padded, shifts)  # type: ignore[no-untyped-call]
-    return volume.to(ref_BCHW.dtype)
+    volume_BGDHW: Tensor = _Correlation.apply(ref, padded, shifts)  # type: ignore[no-untyped-call]
+    return volume_BGDHW.to(ref_BCHW.dtype)
 
 
 def _shifts(window: Window) -> range:
