@@ -120,7 +120,7 @@ def test_the_truth_costs_less_than_anything_beside_it() -> None:
 
     def loss_at(offset_px: float) -> float:
         output = NetworkOutput([batch.truth_px_BHW + offset_px], logits)
-        return float(objective(output, batch, stage, window=WINDOW, teacher=None, global_sum=lambda x: x)[0])
+        return float(objective(output, batch, stage, window=WINDOW, teacher=None, global_sum=lambda x: x)[0].detach())
 
     assert loss_at(0) < min(loss_at(-1), loss_at(1)) < loss_at(4)
 
