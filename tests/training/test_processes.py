@@ -1,0 +1,89 @@
+"""Several processes are one: the same gradients as one process on the joint batch, one writer, shared captures."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from training.joint_step import joint_gradients, short_training
+from training.small import rendered, source_of, write_pairs
+
+from telewide.capture.images import write_pfm
+from telewide.simulate.captures import write_captures
+from telewide.training.processes import Processes, joined_processes
+from telewide.training.samples import LABELS_NAME
+
+pytestmark = pytest.mark.slow
+
+
+def torchrun(*words: str, cwd: Path, repo: Path, processes: int = 2) -> subprocess.CompletedProcess[str]:
+    """Start processes on this machine as a user would."""
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", *words]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{repo}{os.pathsep}{repo / 'tests'}"}
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=900)
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Corrected pairs with labels: the truth, with holes."""
+    folder = tmp_path_factory.mktemp("labelled")
+    for seed, capture in enumerate(write_pairs(folder)):
+        truth_px = rendered(seed).disparity_px.copy()
+        truth_px[::3] = np.nan
+        write_pfm(folder / capture.name / LABELS_NAME, truth_px)
+    return folder
+
+
+def test_two_processes_are_one(tmp_path: Path, repo: Path, labelled: Path) -> None:
+    script = repo / "tests" / "training" / "joint_step.py"
+    done = torchrun(str(script), str(tmp_path), str(labelled), cwd=tmp_path, repo=repo)
+    assert done.returncode == 0, done.stderr[-3000:]
+
+    source = source_of(write_pairs(tmp_path / "again"), labels=labelled)
+    alone = joint_gradients(source, Processes())
+    by_rank = [torch.load(tmp_path / f"gradients{rank}.pt", weights_only=True) for rank in (0, 1)]
+    for name, expected in alone.items():
+        assert expected.abs().max() > 0
+        for gradients in by_rank:
+            torch.testing.assert_close(gradients[name], expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
+
+    heard = [json.loads((tmp_path / f"heard{rank}.json").read_text()) for rank in (0, 1)]
+    assert heard[0] == heard[1], "losses, judgements and weights are the same in all processes"
+    assert heard[0]["best_stage"] == 1
+    assert [answer for _, _, answer in heard[0]["judgements"]] == [0.5, 0.4]
+    assert (tmp_path / "train0" / "weights.safetensors").is_file()
+    assert not (tmp_path / "train1").exists(), "one process writes"
+    one = json.loads(json.dumps(short_training(tmp_path / "one", source, Processes())))
+    for (_, _, parts), (_, _, expected_parts) in zip(heard[0]["losses"], one["losses"], strict=True):
+        assert parts == pytest.approx(expected_parts, rel=1e-3)
+
+
+def test_captures_are_shared_among_processes(tmp_path: Path, repo: Path) -> None:
+    write_captures(tmp_path / "captures", count=3, seed=1, hw=(128, 192), factor=2)
+    done = torchrun(
+        "-m", "telewide", "depth", "captures", "--method", "sgm", "--out", "depth", "--json", cwd=tmp_path, repo=repo
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    names = [capture["name"] for answer in answers for capture in answer["captures"]]
+    assert sorted(names) == ["000", "001", "002"], "each capture exactly once"
+    assert len(answers) == 2
+    assert all((tmp_path / "depth" / name / "disparity.pfm").is_file() for name in names)
+
+
+def test_one_process_needs_no_group(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    with joined_processes(torch.device("cpu")) as processes:
+        assert processes.is_writer
+        value = torch.tensor([1.0, 2.0])
+        assert processes.global_sum(value) is value
+        assert processes.from_writer([1.5]) == [1.5]
+        assert processes.is_any(True)
+        assert not processes.is_any(False)
+        processes.wait()
