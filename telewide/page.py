@@ -18,8 +18,6 @@ from telewide.output.depth import DepthResult
 from telewide.output.preview import disparity_panel, display_range_px
 from telewide.output.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
 
-LOG_NAME = "log.jsonl"
-
 
 def report_row(pair: RectifiedPair, folder: Path, *, root: Path, numbers: Mapping[str, float]) -> ReportRow:
     """The line of one capture: its photos, preview and bokeh, and its numbers.
@@ -63,7 +61,7 @@ def write_page(run: RunFolder, rows: Iterable[ReportRow], *, recipe: str, captur
         tuple(rows),
         title="Depth and bokeh from a wide and a tele lens",
         summary=recipe,
-        curves=training_curves(run.train / LOG_NAME),
+        curves=training_curves(run.training_log),
         next_steps=steps,
         facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
     )

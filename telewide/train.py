@@ -36,7 +36,6 @@ from telewide.training.stages import Stage, plan_stages
 
 FORMAT = 1
 RECORD_NAME = "training.json"
-LOG_NAME = "log.jsonl"
 LOG_EVERY_STEPS = 10
 FEWEST_TO_HOLD_OUT = 5
 """With fewer captures a strip of each is held out instead of whole ones."""
@@ -122,19 +121,13 @@ def train_prepared(
     if kept is not None and state.step + state.stage_index > 0:
         grown = sorted(set(record.captures) - set(kept.captures))
         if grown:
-            reporter.said(
-                f"{len(grown)} new captures: {', '.join(grown[:5])}; training continues on all {len(record.captures)}"
-            )
             _reopen(state)
-        elif state.is_finished:
-            reporter.said(f"finished already: {run.train / WEIGHTS_NAME}; --fresh starts over")
-        else:
-            reporter.said(f"resuming {plan[state.stage_index].name} at step {state.step}")
+        reporter.said(_where_it_stands(run, plan, state, grown=grown))
     if state.is_finished:
         return _outcome(run, plan, state, is_new=False)
     if processes.is_writer:
         _write_record(run, record)
-        _drop_log_after(run.train / LOG_NAME, stage_index=state.stage_index, step=state.step)
+        _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
     if any(stage.needs_labels for stage in plan[state.stage_index :]) and processes.is_writer:
         names = [item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out]
         write_labels(prepared, names=names, tick=labelling(len(names)))
@@ -143,6 +136,14 @@ def train_prepared(
     logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
     train(training, state, reporter=logged)
     return _outcome(run, plan, state, is_new=True)
+
+
+def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:
+    """One line on a training that was begun before."""
+    if state.is_finished:
+        return f"finished already: {run.train / WEIGHTS_NAME}; --fresh starts over"
+    resuming = f"resuming {plan[state.stage_index].name} at step {state.step}"
+    return f"{len(grown)} new captures: {', '.join(grown[:5])}; {resuming} on the larger set" if grown else resuming
 
 
 def read_record(run: RunFolder) -> TrainingRecord | None:
@@ -345,7 +346,7 @@ class _LoggedReporter:
     def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
         if not self.is_writer:
             return
-        path = self.run.train / LOG_NAME
+        path = self.run.training_log
         path.parent.mkdir(parents=True, exist_ok=True)
         line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
         with path.open("a", encoding="utf-8") as log:

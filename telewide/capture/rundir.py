@@ -54,6 +54,11 @@ class RunFolder:
         return self.root / "train"
 
     @property
+    def training_log(self) -> Path:
+        """Losses and judgements of the training, one JSON object a line."""
+        return self.train / "log.jsonl"
+
+    @property
     def depth(self) -> Path:
         """Folder of the results, one folder per capture."""
         return self.root / "depth"
