@@ -27,6 +27,8 @@ FloatImage = NDArray[np.float32]
 
 CONTEXT_PX = 192
 """Border a tile is given on each side beyond the disparities' reach, and whose result is thrown away."""
+GRID_PX = 4 * SIZE_MULTIPLE_PX
+"""Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
 MAX_TILE_PIXELS = 2_500_000
 AGREEMENT_PX = 3.0
 """Difference of the two views' disparities at which agreement has fallen to nothing."""
@@ -111,7 +113,7 @@ def match_with_network(
 def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window) -> tuple[Tensor, Tensor, Tensor]:
     """(H, W) disparity, confidence and agreement of one tile."""
     height, width = ref.shape[-2:]
-    ref, src = (pad_to_multiple(view, multiple=4 * SIZE_MULTIPLE_PX) for view in (ref, src))
+    ref, src = (pad_to_multiple(view, multiple=GRID_PX) for view in (ref, src))
     with low_precision(ref.device):
         output = network(ref, src, window)
     disparity_px = output.disparity_px.float()
@@ -177,9 +179,9 @@ def _tiles(hw: tuple[int, ...], *, window: Window, max_pixels: int) -> Iterator[
 
 
 def _spans(length: int, step: int, *, before: int, after: int) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """(inner, outer) spans along one side; outer ends lie on the network's grid, as the whole image's would."""
-    grid = SIZE_MULTIPLE_PX
-    step = max(grid * 8, step // grid * grid)
+    """(inner, outer) spans along one side; outer ends lie on the grid, so that a tile is padded as the image would be."""
+    grid = GRID_PX
+    step = max(2 * grid, step // grid * grid)
     spans = []
     for start in range(0, length, step):
         end = min(start + step, length)
