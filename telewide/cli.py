@@ -130,6 +130,10 @@ def depth(
     quiet: QuietOption = False,
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
+    if not bokeh and (focus != "auto" or f_number is not None or strength is not None):
+        raise UsageError("--focus, --f-number and --strength shape the bokeh picture", hint="add --bokeh")
+    if method == "sgm" and device == "cuda":
+        raise UsageError("--method sgm runs on the processor, not on a GPU", hint="leave --device out")
     options = _depth_options(
         method=method,
         weights=weights,
@@ -301,7 +305,7 @@ def _bokeh_options(*, focus: str, f_number: float | None, strength: float | None
 def _say_depth(done: DepthRun, observer: ConsoleObserver) -> None:
     observer.said(f"depth of {len(done.outcomes)} captures in {done.folder}")
     if done.outcomes:
-        names = sorted({path.name for outcome in done.outcomes for path in outcome.paths})
+        names = sorted(set.intersection(*({path.name for path in outcome.paths} for outcome in done.outcomes)))
         observer.said(f"each with: {', '.join(names)}")
 
 

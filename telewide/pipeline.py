@@ -215,8 +215,9 @@ def depth_captures(
     captures = find_captures(captures_root)
     check_bokeh(options.bokeh, captures)
     matcher_for, matcher_key = _choose_matcher(folder, options)
-    prepared = _prepare_together(captures_root, folder, recipe, observer)
     out = options.out or folder.depth
+    _make_folder(out)
+    prepared = _prepare_together(captures_root, folder, recipe, observer)
     rank, world = rank_and_world()
     mine = prepared.pairs[rank::world]
     observer.matching(len(mine), method=options.method)
@@ -256,6 +257,15 @@ def depth_captures(
             timings={"depth": time.monotonic() - begun_s},
         )
     return DepthRun(out, tuple(outcomes), tuple(problems))
+
+
+def _make_folder(folder: Path) -> None:
+    """Say before the work, not after it, that a place cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UsageError(f"{folder} cannot be made: {reason}", hint="name another folder with --out") from error
 
 
 def run_captures(

@@ -73,9 +73,9 @@ class ConsoleObserver:
         if self.shows_table and not self.is_quiet:
             self.console.print(captures_table([pair.report for pair in prepared.pairs]))
             self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
-            for pair in prepared.pairs:
-                for reason in pair.report.reasons:
-                    self.said(f"{pair.report.name}: {reason}")
+        for pair in prepared.pairs:
+            for reason in pair.report.reasons:
+                self.said(f"{pair.report.verdict}: {pair.report.name}: {reason}")
         self._warn(prepared.problems)
         if prepared.facts.rectified is None:
             worst_px = max((abs(pair.report.vertical_residual_px) for pair in prepared.pairs), default=math.nan)

@@ -233,3 +233,21 @@ def test_simulate_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFix
     assert run_cli(*words) == 0
     assert f"telewide train {out}" in capsys.readouterr().err
     refused(capsys, "simulate", str(out), "--captures", "0", code=2, names=("0",))
+
+
+def test_a_place_that_cannot_be_a_folder_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_captures(tmp_path / "captures", count=1, hw=(96, 128))
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(SystemExit) as left:
+        main(["depth", str(tmp_path / "captures"), "--method", "sgm", "--out", str(tmp_path / "taken" / "depth")])
+    assert left.value.code == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_bokeh_options_without_bokeh_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["depth", str(tmp_path), "--method", "sgm", "--focus", "near"])
+    assert left.value.code == 2
+    assert "--bokeh" in capsys.readouterr().err

@@ -179,7 +179,7 @@ def _tiles(hw: tuple[int, ...], *, window: Window, max_pixels: int) -> Iterator[
 
 
 def _spans(length: int, step: int, *, before: int, after: int) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """(inner, outer) spans along one side; outer ends lie on the grid, so that a tile is padded as the image would be."""
+    """(inner, outer) spans along one side; outer ends lie on the grid, so that a tile is padded as the image is."""
     grid = GRID_PX
     step = max(2 * grid, step // grid * grid)
     spans = []
