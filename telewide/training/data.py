@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -32,7 +33,9 @@ class StepBatches(Dataset[Batch]):
     """
 
     def __init__(self, source: SampleSource, stage: Stage, *, seed: int, rank: int = 0, world: int = 1) -> None:
-        self._source, self._stage, self._seed = source, stage, seed
+        # Where no labels are needed none may have been written.
+        self._source = source if stage.needs_labels else replace(source, labels_folder=None)
+        self._stage, self._seed = stage, seed
         self._rank, self._world = rank, world
 
     def __len__(self) -> int:

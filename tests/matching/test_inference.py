@@ -1,0 +1,192 @@
+"""A network as a matcher: tiles against the whole image, confidence, and what src does not see."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from training.small import stage_of, training_in
+
+from telewide.capture.images import resize_bicubic
+from telewide.capture.pair import find_captures, read_pair
+from telewide.errors import MissingPartError
+from telewide.matching.inference import (
+    GRID_PX,
+    choose_device,
+    full_precision,
+    has_fast_bf16,
+    low_precision,
+    match_with_network,
+)
+from telewide.matching.networks import StereoNetwork, build_network
+from telewide.simulate.layers import render_pair
+from telewide.simulate.scene import random_scene
+from telewide.training.checkpoint import new_state
+from telewide.training.data import StepBatches
+from telewide.training.loop import take_step
+from telewide.training.samples import SampleSource
+
+CPU = torch.device("cpu")
+STEPS = 60
+Views = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+def noise(*hw: int, seed: int = 0) -> NDArray[np.float32]:
+    return np.random.default_rng(seed).random((*hw, 3), dtype=np.float32)
+
+
+@pytest.fixture(scope="session")
+def taught(repo: Path, tmp_path_factory: pytest.TempPathFactory) -> StereoNetwork:
+    """`lite` after a minute's lesson on the example captures: its answers are rough, and no noise."""
+    captures = find_captures(repo / "examples" / "captures").captures
+    source = SampleSource(captures[1:], crop_hw=(64, 96), window_px=(0, 48))
+    stage = stage_of(steps=STEPS, rehearsed=2, learning_rate=2e-3)
+    training = training_in(tmp_path_factory.mktemp("taught"), source)
+    state = new_state("lite", seed=1, device=CPU)
+    batches = StepBatches(source, stage, seed=0)
+    for step in range(STEPS):
+        take_step(state, batches[step], stage, training=training)
+        state.step += 1
+    return state.average
+
+
+@pytest.fixture(scope="session")
+def example(repo: Path) -> Views:
+    """An example capture at twice its size, cut to 390x650, no multiple of the tiles."""
+    pair = read_pair(find_captures(repo / "examples" / "captures").captures[0])
+    ref, src = (resize_bicubic(view, wh=(768, 512))[:390, :650] for view in (pair.tele, pair.wide))
+    return ref, src
+
+
+@pytest.mark.slow
+def test_tiles_give_what_the_whole_image_gives(taught: StereoNetwork, example: Views) -> None:
+    """The context that is thrown away is all that reaches a pixel: in float32 tiles are the whole, but for rounding."""
+    ref, src = example
+    with full_precision():
+        whole = match_with_network(ref, src, network=taught, window=(0, 96))
+        tiled = match_with_network(ref, src, network=taught, window=(0, 96), max_tile_pixels=100_000)
+    error_px = np.abs(tiled.disparity_px - whole.disparity_px)
+    assert (error_px <= 0.1).mean() >= 0.99
+    assert np.abs(tiled.confidence - whole.confidence).mean() < 1e-3
+    assert (tiled.valid == whole.valid).mean() >= 0.99
+
+
+@pytest.mark.slow
+def test_tiles_of_negative_windows_look_to_the_other_side(taught: StereoNetwork, example: Views) -> None:
+    """Views exchanged: disparities are negative, and src is to be found to the right."""
+    ref, src = example
+    with full_precision():
+        whole = match_with_network(src[:200], ref[:200], network=taught, window=(-96, 0))
+        tiled = match_with_network(src[:200], ref[:200], network=taught, window=(-96, 0), max_tile_pixels=60_000)
+    assert (np.abs(tiled.disparity_px - whole.disparity_px) <= 0.1).mean() >= 0.99
+
+
+@pytest.mark.parametrize("name", ["lite", "psmnet-s"])
+def test_confidence_lies_in_zero_to_one(name: str) -> None:
+    for seed in range(2):
+        matched = match_with_network(
+            noise(64, 96, seed=seed), noise(64, 96, seed=9), network=build_network(name, seed=seed), window=(-16, 32)
+        )
+        assert matched.confidence.min() >= 0
+        assert matched.confidence.max() <= 1
+        assert matched.disparity_px.dtype == matched.confidence.dtype == np.float32
+        assert matched.valid.dtype == np.bool_
+
+
+@pytest.mark.parametrize("window", [(0, 32), (-32, 0)])
+def test_what_falls_outside_src_is_not_valid(window: tuple[int, int]) -> None:
+    pair = render_pair(random_scene(np.random.default_rng(0), hw=(64, 128), disparity_window_px=(6.0, 26.0)))
+    ref, src = (pair.ref, pair.src) if window[0] == 0 else (pair.src, pair.ref)
+    matched = match_with_network(ref, src, network=build_network("lite"), window=window)
+    x_src_px = np.arange(128) - matched.disparity_px
+    outside = (x_src_px < 0) | (x_src_px > 127)
+    assert outside.any()
+    assert not matched.valid[outside].any()
+
+
+def test_untrained_lite_trusts_what_both_views_show_and_not_what_one_hides() -> None:
+    """A square before a wall, both of rich texture: what it hides fails the left-right check more often."""
+    blurred = [cv2.GaussianBlur(noise(128, 320, seed=seed), (0, 0), 1.5) for seed in (0, 1)]
+    wall, square = (np.clip((b - 0.5) * 3 + 0.5, 0, 1).astype(np.float32) for b in blurred)
+    ref, src = wall[:, 20:276].copy(), wall[:, 28:284].copy()  # the wall at 8 px
+    ref[32:96, 120:184], src[32:96, 92:156] = square[:64, :64], square[:64, :64]  # the square at 28 px
+    matched = match_with_network(ref, src, network=build_network("lite"), window=(0, 40))
+    hidden = np.zeros(ref.shape[:2], np.bool_)
+    hidden[36:92, 102:118] = True  # left of the square: 20 px that src does not see
+    seen = np.zeros_like(hidden)
+    seen[36:92, 60:90] = seen[36:92, 130:175] = True
+    assert matched.confidence[seen].mean() > matched.confidence[hidden].mean()
+    assert matched.valid[seen].mean() > matched.valid[hidden].mean()
+    assert np.median(np.abs(matched.disparity_px[36:92, 130:175] - 28)) < 2
+    assert np.median(np.abs(matched.disparity_px[36:92, 60:90] - 8)) < 2
+
+
+def test_views_must_fit_each_other_and_the_window_the_volume() -> None:
+    network = build_network("lite")
+    with pytest.raises(ValueError, match="one size"):
+        match_with_network(noise(64, 96), noise(64, 95), network=network, window=(0, 32))
+    with pytest.raises(ValueError, match="multiples of 4"):
+        match_with_network(noise(64, 96), noise(64, 96), network=network, window=(0, 30))
+
+
+def test_matching_leaves_no_trace_in_the_network() -> None:
+    network = build_network("psmnet-s").train()
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    match_with_network(noise(64, 64), noise(64, 64, seed=1), network=network, window=(0, 16))
+    assert not network.training
+    assert all(torch.equal(before[name], tensor) for name, tensor in network.state_dict().items())
+    assert all(parameter.requires_grad for parameter in network.parameters())
+
+
+def test_padding_is_not_seen_in_the_result() -> None:
+    """An image and the same one already continued to the grid: the same disparities where both are."""
+    ref, src = noise(GRID_PX - 3, 2 * GRID_PX - 5), noise(GRID_PX - 3, 2 * GRID_PX - 5, seed=1)
+    with full_precision():
+        matched = match_with_network(ref, src, network=build_network("lite"), window=(0, 32))
+    assert matched.disparity_px.shape == ref.shape[:2]
+    assert np.isfinite(matched.disparity_px).all()
+
+
+def test_brightness_and_tint_of_a_view_do_not_matter() -> None:
+    ref, src = noise(64, 96), noise(64, 96, seed=1)
+    network = build_network("lite")
+    with full_precision():
+        plain, tinted = (
+            match_with_network(ref, (src * np.float32(gain)).astype(np.float32), network=network, window=(0, 32))
+            for gain in (1.0, 0.9)
+        )
+    assert np.median(np.abs(plain.disparity_px - tinted.disparity_px)) < 0.2
+
+
+def test_devices_are_chosen_by_name() -> None:
+    assert choose_device("cpu").type == "cpu"
+    if torch.cuda.is_available():
+        assert choose_device("auto").type == choose_device("cuda").type == "cuda"
+    else:
+        assert choose_device("auto").type == "cpu"
+        with pytest.raises(MissingPartError) as raised:
+            choose_device("cuda")
+        assert raised.value.exit_code == 5
+
+
+def test_low_precision_can_be_switched_off() -> None:
+    a = torch.rand(8, 8)
+    with low_precision(CPU):
+        assert (a @ a).dtype == (torch.bfloat16 if has_fast_bf16(CPU) else torch.float32)
+    with full_precision(), low_precision(CPU):
+        assert (a @ a).dtype == torch.float32
+
+
+def test_a_gpu_gives_what_the_processor_gives(gpu: str) -> None:
+    ref, src = noise(96, 160), noise(96, 160, seed=1)
+    with full_precision():
+        by_device = [
+            match_with_network(ref, src, network=build_network("lite").to(device), window=(0, 32))
+            for device in ("cpu", gpu)
+        ]
+    error_px = np.abs(by_device[0].disparity_px - by_device[1].disparity_px)
+    assert (error_px < 0.1).mean() > 0.98
