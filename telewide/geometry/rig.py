@@ -56,7 +56,7 @@ class Camera:
         points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
         rays = cv2.undistortPoints(points[:, None], self.K, self._coefficients())
         normalised = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
-        # OpenCV stops after five iterations, which is not exact for wide lenses; its versions differ in how to ask for more.
+        # OpenCV stops after five iterations, not exact for wide lenses; its versions differ in how to ask for more.
         for _ in range(_INVERSE_ITERATIONS if len(points) else 0):
             again_px = self.project(np.column_stack([normalised, np.ones(len(normalised))]))
             normalised += (points - again_px) / np.diag(self.K)[:2]
