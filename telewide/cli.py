@@ -106,7 +106,7 @@ def train(
                 "weights": str(outcome.weights),
                 "is_new": outcome.is_new,
                 "best_stage": outcome.best_stage,
-                "off_1px": dict(outcome.stages),
+                "clipped_px": dict(outcome.stages),
             }
         )
 

@@ -109,8 +109,9 @@ class ConsoleObserver:
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
         """Say what the held-out matches answered."""
-        off = judgement["off_1px"]
-        self._judgement = "" if math.isnan(off) else f"  held-out matches off by > 1 px: {off:.1%}"
+        off_px, share = judgement["clipped_px"], judgement["off_1px"]
+        told = f"  held-out matches missed by {off_px:.3f} px, {share:.1%} of them by > 1 px"
+        self._judgement = "" if math.isnan(off_px) else told
         self.said(f"{stage.name} {step}:{self._judgement or ' too few matches to judge by'}")
 
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:

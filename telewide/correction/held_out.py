@@ -1,7 +1,7 @@
 """Matches kept for judging: where tele's points truly lie in wide, known to no fit and no training.
 
-A match found in both directions says where a point of tele lies in wide. The share of matches that a disparity map
-misses by more than 1 px compares matchers, losses and stages, and needs no ground truth.
+A match found in both directions says where a point of tele lies in wide. How far a disparity map misses them
+compares matchers, losses and stages, and needs no ground truth.
 Letters: N matches, H W image.
 """
 
@@ -18,6 +18,8 @@ from telewide.capture.layout import Capture
 from telewide.geometry.stereo import FloatMap
 
 Points = NDArray[np.float64]
+CLIP_PX = 3.0
+"""A match missed by more counts as missed by this much, so that a few wild ones do not decide."""
 _REMAP_LIMIT = 32000
 """cv2.remap refuses longer columns."""
 
@@ -60,12 +62,13 @@ def match_errors_px(disparity_px: FloatMap, held_out: HeldOut) -> NDArray[np.flo
 
 
 def summarise_errors(errors_px: NDArray[np.float64]) -> dict[str, float]:
-    """Shares of matches off by more than 1 and 3 px, and the mean error; NaN without matches."""
+    """Shares of matches off by more than 1 and 3 px, mean error, mean of errors clipped at 3 px; NaN without matches."""
     if not errors_px.size:
-        return {"off_1px": math.nan, "off_3px": math.nan, "mean_px": math.nan, "matches": 0.0}
+        return {"off_1px": math.nan, "off_3px": math.nan, "mean_px": math.nan, "clipped_px": math.nan, "matches": 0.0}
     return {
         "off_1px": float((errors_px > 1).mean()),
         "off_3px": float((errors_px > 3).mean()),
         "mean_px": float(errors_px.mean()),
+        "clipped_px": float(np.minimum(errors_px, CLIP_PX).mean()),
         "matches": float(errors_px.size),
     }

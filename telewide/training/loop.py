@@ -45,8 +45,11 @@ COOL_DOWN_SHARE = 0.25
 LAST_LEARNING_RATE = 0.1
 MAX_GRADIENT_NORM = 1.0
 NARROW_WINDOW_PLANES = 8
-LEAST_GAIN = 0.002
-"""A judgement is better when the share of wrong matches falls by this much."""
+LEAST_GAIN_PX = 0.002
+"""A judgement is better when the mean clipped error falls by this much."""
+
+DECISIVE = "clipped_px"
+"""The figure of a judgement that decides: shares of wrong matches stand still where the matches' own errors begin."""
 
 Judge = Callable[[StereoNetwork], Mapping[str, float]]
 
@@ -78,7 +81,7 @@ class Training:
         folder: ``train/`` of the run.
         options: of the recipe.
         source: where crops come from.
-        judge: asks the held-out matches; its ``off_1px`` decides.
+        judge: asks the held-out matches; its ``clipped_px`` decides.
         seed: of all samples.
         network_name: for the weights' card.
         recipe: resolved recipe, for the weights' card.
@@ -262,19 +265,19 @@ def _is_judgement_due(training: Training, state: TrainingState, stage: Stage) ->
 def _is_converged(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> bool:
     """Ask the held-out matches; True when the last ``patience`` answers brought nothing better."""
     judgement = _ask(training, state)
-    state.judgements.append(judgement["off_1px"])
+    state.judgements.append(judgement[DECISIVE])
     reporter.judged(stage, step=state.step, judgement=judgement)
     patience = training.options.patience
     if state.step < stage.options.least_steps or len(state.judgements) <= patience:
         return False
     before, recent = state.judgements[:-patience], state.judgements[-patience:]
-    return min(recent) > min(before) - LEAST_GAIN
+    return min(recent) > min(before) - LEAST_GAIN_PX
 
 
 def _ask(training: Training, state: TrainingState) -> dict[str, float]:
     """The writer judges; every process gets the answer, so that all decide alike."""
     judgement = dict(training.judge(state.average)) if training.processes.is_writer else {}
-    names = ("off_1px", "off_3px", "mean_px")
+    names = ("off_1px", "off_3px", "mean_px", DECISIVE)
     values = training.processes.from_writer([judgement.get(name, math.nan) for name in names])
     return dict(zip(names, values, strict=True))
 
@@ -286,7 +289,7 @@ def _end_stage(
     result = state.judgements[-1] if state.judgements else math.nan
     if training.processes.is_writer:
         save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=_card(training, state, stage))
-    reporter.stage_finished(stage, network=state.average, judgement={"off_1px": result})
+    reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
     is_worse = bool(state.stage_judgements) and result >= state.stage_judgements[state.best_stage]
     state.stage_judgements.append(result)
     if not is_worse:
@@ -305,7 +308,7 @@ def _return_to_best(
     training: Training, state: TrainingState, plan: tuple[Stage, ...], reporter: Reporter, *, worse: Stage
 ) -> None:
     best = plan[state.best_stage]
-    reporter.said(f"{worse.name} did not lower the share of wrong matches; {best.name} is kept and boosting ends")
+    reporter.said(f"{worse.name} did not lower the error at held-out matches; {best.name} is kept and boosting ends")
     network, _ = load_weights(training.folder / f"{best.name}.safetensors", device=training.device)
     state.average.load_state_dict(network.state_dict())
 
@@ -321,7 +324,7 @@ def _card(training: Training, state: TrainingState, stage: Stage) -> WeightsCard
         network=training.network_name,
         window=training.window,
         recipe=training.recipe,
-        training={"stage": stage.name, "step": state.step, "off_1px": state.judgements[-1:]},
+        training={"stage": stage.name, "step": state.step, DECISIVE: state.judgements[-1:]},
     )
 
 

@@ -72,7 +72,7 @@ class ScriptedJudge:
     def __call__(self, network: StereoNetwork) -> dict[str, float]:
         answer = self.answers[min(self.asked, len(self.answers) - 1)]
         self.asked += 1
-        return {"off_1px": answer, "off_3px": answer / 2, "mean_px": 1.0}
+        return {"off_1px": answer, "off_3px": answer / 2, "mean_px": 1.0, "clipped_px": answer}
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Heard:
             self.after_step(stage.name, step)
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        self.judgements.append((stage.name, step, judgement["off_1px"]))
+        self.judgements.append((stage.name, step, judgement["clipped_px"]))
 
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
         self.finished.append(stage.name)
