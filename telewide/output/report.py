@@ -183,18 +183,32 @@ def report_html(
     sections = [
         f"<h1>{html.escape(title)}</h1>",
         f"<p>{html.escape(summary)}</p>" if summary else "",
-        _section("Pictures", "".join(_capture_html(row) for row in rows if row.pictures), css_class="captures"),
-        _section("Numbers", _table_html(rows)),
-        _section("Training", "".join(curve_svg(curve) for curve in curves), css_class="curves"),
-        _section("What next", "".join(_next_step_html(step) for step in next_steps)),
-        _section("Made by", _facts_html(facts)),
+        section_html("Pictures", "".join(_capture_html(row) for row in rows if row.pictures), css_class="captures"),
+        section_html("Numbers", _table_html(rows)),
+        section_html("Training", "".join(curve_svg(curve) for curve in curves), css_class="curves"),
+        section_html("What next", "".join(next_step_html(step) for step in next_steps)),
+        section_html("Made by", facts_html(facts)),
     ]
+    return page_html(title, sections)
+
+
+def page_html(title: str, sections: Sequence[str], *, extra_style: str = "") -> str:
+    """Compose one page that opens offline: no script, nothing fetched, the reader's dark or light colours.
+
+    Args:
+        title: name of the page; escaped here.
+        sections: HTML, one below the other; empty ones are left out.
+        extra_style: further CSS.
+
+    Returns:
+        The file's text.
+    """
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT_POLICY}">\n'
-        f"<title>{html.escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<main>\n"
+        f"<title>{html.escape(title)}</title>\n<style>{_STYLE}{extra_style}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(section for section in sections if section)
         + "\n</main>\n</body>\n</html>\n"
     )
@@ -227,14 +241,15 @@ def curve_svg(curve: Curve) -> str:
         f'<polyline class="curve" points="{path}"/>',
     ]
     width, height = _CURVE_WH
-    caption = f"{label}: {_number_text(points[-1][1])} at step {points[-1][0]:.10g}"
+    caption = f"{label}: {number_text(points[-1][1])} at step {points[-1][0]:.10g}"
     return (
         f'<figure><svg viewBox="0 0 {width} {height}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
         f"<figcaption>{caption}</figcaption></figure>"
     )
 
 
-def _section(heading: str, content: str, *, css_class: str = "") -> str:
+def section_html(heading: str, content: str, *, css_class: str = "") -> str:
+    """A heading with HTML below it, in a box of a class if one is given; nothing where there is no content."""
     if not content:
         return ""
     inner = f'<div class="{css_class}">{content}</div>' if css_class else content
@@ -243,12 +258,13 @@ def _section(heading: str, content: str, *, css_class: str = "") -> str:
 
 def _capture_html(row: ReportRow) -> str:
     is_tall = row.pictures[0].wh[1] > row.pictures[0].wh[0]
-    figures = "".join(_picture_html(picture, row.name) for picture in row.pictures)
+    figures = "".join(picture_html(picture, row.name) for picture in row.pictures)
     shape = "capture tall" if is_tall else "capture"
     return f'<div class="{shape}"><h3>{html.escape(row.name)}</h3><div class="pictures">{figures}</div></div>\n'
 
 
-def _picture_html(picture: Picture, name: str) -> str:
+def picture_html(picture: Picture, name: str) -> str:
+    """A figure with its caption; the name is what the picture is of."""
     data = base64.b64encode(picture.jpeg).decode("ascii")
     label = html.escape(picture.label)
     shown = (
@@ -267,14 +283,14 @@ def _table_html(rows: Sequence[ReportRow]) -> str:
     head = "".join(f'<th scope="col">{html.escape(heading)}</th>' for heading in ("capture", *headings))
     body = "".join(
         f'<tr><th scope="row">{html.escape(row.name)}</th>'
-        + "".join(f"<td>{_number_text(row.numbers.get(heading))}</td>" for heading in headings)
+        + "".join(f"<td>{number_text(row.numbers.get(heading))}</td>" for heading in headings)
         + "</tr>\n"
         for row in rows
     )
     medians = [_median([row.numbers.get(heading) for row in rows]) for heading in headings]
     foot = ""
     if len(rows) > 1 and any(median is not None for median in medians):
-        cells = "".join(f"<td>{'' if median is None else _number_text(median)}</td>" for median in medians)
+        cells = "".join(f"<td>{'' if median is None else number_text(median)}</td>" for median in medians)
         foot = f'<tfoot><tr><th scope="row">median</th>{cells}</tr></tfoot>'
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead>\n<tbody>{body}</tbody>\n{foot}</table></div>'
 
@@ -284,7 +300,7 @@ def _median(values: Sequence[Number]) -> float | None:
     return statistics.median(known) if known else None
 
 
-def _number_text(value: Number) -> str:
+def number_text(value: Number) -> str:
     """Three figures are what such measurements carry; whole numbers stay whole."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
@@ -298,11 +314,13 @@ def _number_text(value: Number) -> str:
     return f"{value:.{min(decimals, 4)}f}"
 
 
-def _next_step_html(step: NextStep) -> str:
+def next_step_html(step: NextStep) -> str:
+    """A sentence and its command."""
     return f"<p>{html.escape(step.text)}</p><pre><code>{html.escape(step.command)}</code></pre>"
 
 
-def _facts_html(facts: Mapping[str, str]) -> str:
+def facts_html(facts: Mapping[str, str]) -> str:
+    """Words and their values, one below the other."""
     if not facts:
         return ""
     lines = "".join(f"<dt>{html.escape(key)}</dt><dd>{html.escape(value)}</dd>" for key, value in facts.items())
