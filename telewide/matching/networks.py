@@ -68,9 +68,10 @@ def standardise(image_BCHW: Tensor) -> Tensor:
 
     Exposure and white balance differ between two lenses; this takes both out, as far as a gain and an offset can.
     """
-    mean = image_BCHW.mean(dim=(-2, -1), keepdim=True)
-    deviation = image_BCHW.std(dim=(-2, -1), keepdim=True)
-    return (image_BCHW - mean) / (deviation + 0.02)
+    centred = image_BCHW - image_BCHW.mean(dim=(-2, -1), keepdim=True)
+    # Not Tensor.std: it takes ten times as long.
+    deviation = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+    return centred / (deviation + 0.02)
 
 
 def _build_lite() -> StereoNetwork:

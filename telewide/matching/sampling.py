@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+LARGEST_LOGIT = 20.0
+
 
 def warp_to_ref(src_BCHW: Tensor, disparity_px_BHW: Tensor) -> Tensor:
     """Look src up where ref's pixels lie in it: ``warped(x, y) = src(x - d, y)``.
@@ -64,16 +66,17 @@ def upsample_convex(values_BHW: Tensor, weights_BCHW: Tensor, *, factor: int) ->
 
     Args:
         values_BHW: (B, H, W) coarse map.
-        weights_BCHW: (B, 9 factor^2, H, W) logits.
+        weights_BCHW: (B, 9 factor^2, H, W) logits, taken as at most 20 and at least -20.
         factor: integer enlargement.
 
     Returns:
         (B, factor H, factor W) float32.
     """
     batch, height, width = values_BHW.shape
-    weights = weights_BCHW.contiguous().float().view(batch, 9, factor * factor, height, width)
-    # A softmax over the nine neighbours, summed as it goes: the whole is never laid out twice.
-    scores = (weights - weights.amax(dim=1, keepdim=True)).exp()
+    # A softmax over the nine neighbours, summed as it goes: the whole is never laid out twice. Limits instead of the
+    # largest logit keep it finite at half the time.
+    scores = weights_BCHW.clamp(-LARGEST_LOGIT, LARGEST_LOGIT).contiguous().float().exp_()
+    scores = scores.view(batch, 9, factor * factor, height, width)
     padded = functional.pad(values_BHW.float()[:, None], (1, 1, 1, 1), mode="replicate")
     fine = torch.zeros_like(scores[:, 0])
     for neighbour in range(9):
