@@ -1,7 +1,8 @@
 """The run folder: where everything a run makes is written, and how it is written so that nothing is ever half there.
 
 A file is written under a temporary name in its own folder, flushed to the disk, and renamed over the old one; a run cut
-off at any moment leaves the old file or the new one, never a piece. Layout::
+off at any moment leaves the old file or the new one, never a piece. The temporary name says which process writes there:
+who writes into a folder next removes what killed ones have left. Layout::
 
     run/
       run.json          what was run: version, command line, options, fingerprints of the inputs, seconds
@@ -17,6 +18,8 @@ import hashlib
 import json
 import logging
 import os
+import platform
+import re
 import secrets
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,6 +33,7 @@ from telewide.errors import TelewideError, UsageError
 
 FORMAT = 1
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_TEMPORARY = re.compile(r"\.telewide-(?P<host>[0-9a-f]{8})-(?P<pid>[0-9]+)-[0-9a-f]{12}(\..*)?")
 _log = logging.getLogger("telewide")
 
 
@@ -108,9 +112,10 @@ def replacing(path: Path) -> Iterator[Path]:
         TelewideError: the disk is full.
         UsageError: the place cannot be written.
     """
-    temporary = path.with_name(f".{secrets.token_hex(6)}{path.suffix}")
+    temporary = path.with_name(f".telewide-{_host()}-{os.getpid()}-{secrets.token_hex(6)}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(path.parent)
         yield temporary
         _flush_to_disk(temporary)
         temporary.replace(path)
@@ -120,6 +125,31 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files of this machine's dead processes; those of living ones, and of others', stay."""
+    with suppress(OSError):  # tidying is not worth a failure
+        for entry in folder.iterdir():
+            name = _TEMPORARY.fullmatch(entry.name)
+            if name and name["host"] == _host() and not _is_running(int(name["pid"])):
+                entry.unlink(missing_ok=True)
+
+
+def _host() -> str:
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _is_running(pid: int) -> bool:
+    """Whether a process of this number lives, whoever's it is; in doubt it does."""
+    try:
+        if os.name != "nt":  # there signal 0 is Ctrl-C
+            os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's, or no number of a process
+        return True
+    return True
 
 
 def write_text(path: Path, text: str) -> None:

@@ -83,6 +83,45 @@ def test_replacing_onto_a_folder(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
 
 
+WRITES_AND_WAITS = (
+    "import sys\nfrom pathlib import Path\nfrom telewide.capture.rundir import replacing\n"
+    "with replacing(Path(sys.argv[1])) as path:\n"
+    "    path.write_text('half')\n    sys.stdout.write('begun')\n    sys.stdout.flush()\n    sys.stdin.read()\n"
+)
+
+
+def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_path: Path, repo: Path) -> None:
+    """Only once its writer is dead: the file is removed by whoever writes into the folder next."""
+    target, own = tmp_path / "a.png", tmp_path / ".mine.png"
+    target.write_text("old")
+    own.write_text("mine")
+    words = [sys.executable, "-c", WRITES_AND_WAITS, str(target)]
+    writer = subprocess.Popen(words, cwd=repo, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    try:
+        assert writer.stdout is not None
+        assert writer.stdout.read(5) == b"begun"
+        write_text(tmp_path / "b.txt", "x")
+        (half,) = set(tmp_path.iterdir()) - {target, own, tmp_path / "b.txt"}
+        assert half.read_text() == "half"
+    finally:
+        writer.kill()
+        writer.communicate()
+    elsewhere = half.with_name(half.name.replace(half.name.split("-")[1], "00000000"))
+    elsewhere.write_text("of a process on another machine")
+    write_text(tmp_path / "b.txt", "y")
+    assert set(tmp_path.iterdir()) == {target, own, tmp_path / "b.txt", elsewhere}
+    assert (target.read_text(), own.read_text()) == ("old", "mine")
+
+
+def test_a_process_of_somebody_else_lives(tmp_path: Path) -> None:
+    with replacing(tmp_path / "a.txt") as temporary:
+        temporary.touch()
+        first = temporary.with_name(temporary.name.replace(f"-{os.getpid()}-", "-1-"))
+        first.write_text("of the system's first process")
+    write_text(tmp_path / "b.txt", "x")
+    assert first.exists()
+
+
 def test_replacing_takes_the_longest_name_a_folder_takes(tmp_path: Path) -> None:
     target = tmp_path / ("ä" * 125 + ".txt")
     write_text(target, "x")
