@@ -1,0 +1,107 @@
+"""Figures about a rig that its report draws: how two solves differ over the photo, what depth costs with distance.
+
+Maps are coarse grids over a photo, row 0 at the top. Letters: R C rows and columns of such a grid, N points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.geometry.rig import Camera, StereoRig
+
+FloatArray = NDArray[np.float64]
+
+_LONGER_SIDE_CELLS = 32
+
+
+def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
+    """How differently two solves of one lens see the world, over its photo.
+
+    A turn of the whole camera is taken out first: the boards' poses would absorb it, so it is no difference. The rays
+    of both solves are turned onto each other (W. Kabsch, "A solution for the best rotation to relate two sets of
+    vectors", 1976); what is left is measured in the photo.
+
+    Args:
+        first: one solve.
+        second: another one, of photos of the same size.
+
+    Returns:
+        (R, C) px.
+    """
+    grid_px = _grid_px(first.hw)
+    rays, other_rays = _unit_rays(first, grid_px), _unit_rays(second, grid_px)
+    u, _, vt = np.linalg.svd(other_rays.T @ rays)
+    second_from_first = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    difference_px = second.project(rays @ second_from_first.T) - grid_px
+    return np.linalg.norm(difference_px, axis=1).reshape(_grid_shape(first.hw))
+
+
+def transfer_difference_px(first: StereoRig, second: StereoRig, *, depth_m: float) -> FloatArray:
+    """How differently two rigs carry a point from the tele photo to the wide photo, over the tele photo.
+
+    Args:
+        first: one solve.
+        second: another one, of photos of the same sizes.
+        depth_m: the point's depth in the tele camera's frame, m.
+
+    Returns:
+        (R, C) tele px: distances in the wide photo times ``f_tele / f_wide``.
+    """
+    grid_px = _grid_px(first.tele.hw)
+    carried = [_transferred_px(rig, grid_px, depth_m=depth_m) for rig in (first, second)]
+    distance_px = np.linalg.norm(carried[0] - carried[1], axis=1) * first.asymmetry
+    return distance_px.reshape(_grid_shape(first.tele.hw))
+
+
+def depth_error_m(depth_m: FloatArray, rig: StereoRig, *, disparity_std_px: float) -> FloatArray:
+    """What an error of disparity costs: ``sigma_z = z^2 sigma_d / (f B)``.
+
+    Args:
+        depth_m: distances, m.
+        rig: its tele's focal length and its baseline are taken.
+        disparity_std_px: standard deviation of the disparity, tele px.
+
+    Returns:
+        Standard deviations of depth, m, of the same shape.
+    """
+    return np.asarray(depth_m**2 * disparity_std_px / (rig.tele.f_px * rig.baseline_m), dtype=np.float64)
+
+
+def cell_counts(points_px: FloatArray, *, hw: tuple[int, int], cells: tuple[int, int]) -> NDArray[np.int64]:
+    """Count points in the cells of a photo.
+
+    Args:
+        points_px: (N, 2) x and y.
+        hw: size of the photo.
+        cells: rows and columns.
+
+    Returns:
+        (R, C) counts; points outside the photo are in none.
+    """
+    edges = (np.linspace(0, hw[0], cells[0] + 1) - 0.5, np.linspace(0, hw[1], cells[1] + 1) - 0.5)
+    counts, _, _ = np.histogram2d(points_px[:, 1], points_px[:, 0], bins=edges)
+    return counts.astype(np.int64)
+
+
+def _transferred_px(rig: StereoRig, tele_px: FloatArray, *, depth_m: float) -> FloatArray:
+    rays = np.column_stack([rig.tele.normalised(tele_px), np.ones(len(tele_px))])
+    in_wide_m = depth_m * rays @ rig.wide_from_tele[:3, :3].T + rig.wide_from_tele[:3, 3]
+    return rig.wide.project(in_wide_m)
+
+
+def _unit_rays(camera: Camera, points_px: FloatArray) -> FloatArray:
+    rays = np.column_stack([camera.normalised(points_px), np.ones(len(points_px))])
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True), dtype=np.float64)
+
+
+def _grid_shape(hw: tuple[int, int]) -> tuple[int, int]:
+    cell_px = max(hw) / _LONGER_SIDE_CELLS
+    return max(1, round(hw[0] / cell_px)), max(1, round(hw[1] / cell_px))
+
+
+def _grid_px(hw: tuple[int, int]) -> FloatArray:
+    """(R C, 2) centres of the cells, px."""
+    rows, columns = _grid_shape(hw)
+    y, x = np.mgrid[:rows, :columns] + 0.5
+    return np.column_stack([x.ravel() * hw[1] / columns, y.ravel() * hw[0] / rows]) - 0.5

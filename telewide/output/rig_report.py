@@ -1,0 +1,233 @@
+"""The page about a calibration: can it be trusted, why, and what to photograph next. One file that opens offline.
+
+Every figure says in its caption what good looks like, for readers who calibrate once a year.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.calibration.quality import Check
+from telewide.calibration.result import Calibration, CameraStd, ViewResult
+from telewide.capture.rundir import write_text
+from telewide.geometry.rig import Camera
+from telewide.geometry.stereo import FloatMap
+from telewide.output.charts import CHART_STYLE
+from telewide.output.report import (
+    NextStep,
+    facts_html,
+    next_step_html,
+    page_html,
+    picture_html,
+    section_html,
+    thumbnail,
+)
+from telewide.output.rig_charts import (
+    coverage_figures,
+    cross_validation_figures,
+    depth_figure,
+    epipolar_figure,
+    pose_figure,
+    residual_figures,
+    view_figures,
+)
+
+FloatArray = NDArray[np.float64]
+
+_SCAN_LINES = 12
+_VERDICTS = {
+    "good": "Good: every check passed.",
+    "usable": "Usable: it works, and the warnings below say what would make it better.",
+    "insufficient": "Not good enough: depth from this rig cannot be trusted. Below is what to photograph next.",
+}
+
+_STYLE = """
+.verdict { border-left: 6px solid var(--faint); padding: .4rem .9rem; margin: .8rem 0; font-size: 1.05rem; }
+.good { border-color: var(--good); } .usable { border-color: var(--warn); } .insufficient { border-color: var(--bad); }
+.mark { font-weight: 600; } .mark.pass { color: var(--good); } .mark.warn { color: var(--warn); }
+.mark.fail { color: var(--bad); }
+td.words, th.words { text-align: left; white-space: normal; max-width: 60ch; } td.words:empty { padding: 0; }
+.wide-picture { max-width: 1100px; }
+"""
+
+
+def write_rig_report(
+    path: Path,
+    calibration: Calibration,
+    *,
+    facts: Mapping[str, str],
+    next_steps: Sequence[NextStep] = (),
+    rectified: tuple[str, FloatMap, FloatMap] | None = None,
+) -> Path:
+    """Write the report of a calibration as one HTML file.
+
+    Args:
+        path: of the file.
+        calibration: what to show.
+        facts: where it comes from: board, photos, version.
+        next_steps: commands worth running now.
+        rectified: name, tele and wide of a rectified pair of one size, (H, W, 3) RGB in [0, 1]; None leaves it out.
+
+    Returns:
+        The path.
+    """
+    write_text(path, rig_report_html(calibration, facts=facts, next_steps=next_steps, rectified=rectified))
+    return path
+
+
+def rig_report_html(
+    calibration: Calibration,
+    *,
+    facts: Mapping[str, str],
+    next_steps: Sequence[NextStep],
+    rectified: tuple[str, FloatMap, FloatMap] | None,
+) -> str:
+    """Compose the page of :func:`write_rig_report`; every word given is escaped."""
+    quality = calibration.quality
+    sections = [
+        "<h1>Calibration of a wide and a tele lens</h1>",
+        f'<p class="verdict {quality.verdict}">{_VERDICTS[quality.verdict]}<br>{_summary(calibration)}</p>',
+        section_html("Checks", _checks_html(quality.checks)),
+        section_html("What next", _advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
+        section_html("The rig", _rig_html(calibration)),
+        section_html("Coverage", coverage_figures(calibration), css_class="charts"),
+        section_html("Residuals", residual_figures(calibration), css_class="charts"),
+        section_html("Photos", view_figures(calibration), css_class="charts"),
+        section_html("Left out", _left_out_html(calibration.views)),
+        section_html("Odd against even photos", cross_validation_figures(calibration), css_class="charts"),
+        section_html("Held-out epipolar error", epipolar_figure(quality), css_class="charts"),
+        section_html("Depth error", depth_figure(calibration)),
+        section_html("A rectified pair", _rectified_html(rectified), css_class="wide-picture"),
+        section_html("How the board was held", pose_figure(calibration.views), css_class="charts"),
+        section_html("Made by", facts_html(facts)),
+    ]
+    return page_html("Calibration", sections, extra_style=CHART_STYLE + _STYLE)
+
+
+def scan_lines_picture(tele: FloatMap, wide: FloatMap) -> FloatMap:
+    """Put a rectified pair side by side with lines across both: what lies on a line in one must lie on it in the other.
+
+    Args:
+        tele: (H, W, 3) RGB in [0, 1].
+        wide: (H, W, 3) likewise.
+
+    Returns:
+        (H, 2 W + gap, 3) RGB in [0, 1].
+    """
+    height, width = tele.shape[:2]
+    gap = np.zeros((height, max(2, width // 100), 3), dtype=np.float32)
+    picture = np.concatenate([np.nan_to_num(tele), gap, np.nan_to_num(wide)], axis=1)
+    thickness = max(1, round(height / 400))
+    for row in np.linspace(0, height, _SCAN_LINES + 2)[1:-1].astype(int):
+        picture[row : row + thickness] = 0.35 * picture[row : row + thickness] + 0.65 * np.array([1.0, 0.5, 0.1])
+    return np.asarray(picture, dtype=np.float32)
+
+
+def _summary(calibration: Calibration) -> str:
+    rig, quality = calibration.rig, calibration.quality
+    n_used = sum(view.is_used for view in calibration.views)
+    words = [
+        f"{n_used} of {len(calibration.views)} photos used",
+        f"reprojection {quality.tele_rms_px:.2f} px (tele) and {quality.wide_rms_px:.2f} px (wide) RMS",
+        f"tele is {rig.asymmetry:.3f} times as long as wide",
+    ]
+    if rig.is_scale_known:
+        std_mm = calibration.transform_std.baseline_m * 1e3
+        words.append(f"lenses {rig.baseline_m * 1e3:.2f} &plusmn; {std_mm:.2f} mm apart")
+    return "; ".join(words) + "."
+
+
+def _checks_html(checks: Sequence[Check]) -> str:
+    rows = "".join(
+        f'<tr><td><span class="mark {check.status}">{check.status}</span></td>'
+        f'<td class="words">{html.escape(check.name)}</td><td>{_figure(check.value)}</td>'
+        f'<td>{_figure(check.limit)}</td><td class="words">{html.escape(check.advice)}</td></tr>\n'
+        for check in checks
+    )
+    head = '<tr><th></th><th class="words">check</th><th>found</th><th>limit</th><th class="words"></th></tr>'
+    return f'<div class="scroll"><table><thead>{head}</thead>\n<tbody>{rows}</tbody></table></div>' if rows else ""
+
+
+def _advice_html(checks: Sequence[Check]) -> str:
+    worst_first = sorted((check for check in checks if check.advice), key=lambda check: check.status != "fail")
+    items = "".join(f"<li>{html.escape(check.advice)}</li>" for check in worst_first)
+    return f"<ol>{items}</ol>" if items else ""
+
+
+def _rig_html(calibration: Calibration) -> str:
+    rig = calibration.rig
+    columns = [
+        _camera_cells(rig.tele, calibration.tele_std),
+        _camera_cells(rig.wide, calibration.wide_std),
+    ]
+    names = dict.fromkeys(name for column in columns for name in column)
+    rows = "".join(
+        f'<tr><th scope="row">{name}</th>'
+        + "".join(f"<td>{column.get(name, '-')}</td>" for column in columns)
+        + "</tr>\n"
+        for name in names
+    )
+    table = f"<table><thead><tr><th></th><th>tele</th><th>wide</th></tr></thead>\n<tbody>{rows}</tbody></table>"
+    return f'<div class="scroll">{table}</div><p class="faint">{_transform_words(calibration)}</p>'
+
+
+def _camera_cells(camera: Camera, std: CameraStd) -> dict[str, str]:
+    cells = {
+        "photo": f"{camera.hw[1]} x {camera.hw[0]} px",
+        "focal length": _with_std(camera.f_px, std.f_px, "px"),
+        "principal point x": _with_std(float(camera.K[0, 2]), std.cx_px, "px"),
+        "principal point y": _with_std(float(camera.K[1, 2]), std.cy_px, "px"),
+    }
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    for name, value, sigma in zip(names, camera.distortion, std.distortion, strict=False):
+        if value or sigma:
+            cells[name] = f"{value:+.4f} &plusmn; {sigma:.4f}"
+    return cells
+
+
+def _transform_words(calibration: Calibration) -> str:
+    rig, std = calibration.rig, calibration.transform_std
+    turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (np.trace(rig.wide_from_tele[:3, :3]) - 1) / 2))))
+    std_text = " ".join(f"{value:.3f}" for value in std.rotation_deg)
+    words = f"The lenses are turned against each other by {turn_deg:.3f} degrees (&plusmn; {std_text} about x, y, z)"
+    if not rig.is_scale_known:
+        return f"{words}; their distance is not known in metres."
+    x_mm, y_mm, z_mm = rig.wide_from_tele[:3, 3] * 1e3
+    sigma = " ".join(f"{value * 1e3:.2f}" for value in std.translation_m)
+    return (
+        f"{words}; tele's centre lies at {x_mm:.2f} {y_mm:.2f} {z_mm:.2f} mm (&plusmn; {sigma}) of the wide camera. "
+        "All &plusmn; are one standard deviation."
+    )
+
+
+def _left_out_html(views: Sequence[ViewResult]) -> str:
+    rows = "".join(
+        f'<tr><th scope="row">{html.escape(view.shot)}</th><td>{view.camera}</td><td>{_figure(view.rms_px)}</td>'
+        f'<td class="words">{html.escape(view.reason)}</td></tr>\n'
+        for view in views
+        if not view.is_used
+    )
+    head = '<tr><th>shot</th><th>photo</th><th>RMS, px</th><th class="words">why</th></tr>'
+    return f'<div class="scroll"><table><thead>{head}</thead>\n<tbody>{rows}</tbody></table></div>' if rows else ""
+
+
+def _rectified_html(rectified: tuple[str, FloatMap, FloatMap] | None) -> str:
+    if rectified is None:
+        return ""
+    name, tele, wide = rectified
+    label = "tele and wide after rectification. Good: whatever lies on a line in one lies on it in the other"
+    return picture_html(thumbnail(label, scan_lines_picture(tele, wide), longest_px=1100), name)
+
+
+def _with_std(value: float, std: float, unit: str) -> str:
+    return f"{value:.1f} &plusmn; {std:.1f} {unit}" if math.isfinite(std) else f"{value:.1f} {unit}"
+
+
+def _figure(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "-"
