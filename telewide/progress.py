@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from telewide.capture.pair import CaptureSet, Problem
     from telewide.correction.inspect import PairReport
     from telewide.matching.networks import StereoNetwork
-    from telewide.pipeline import DepthOutcome
+    from telewide.output.capture_depth import DepthOutcome
     from telewide.prepare import PreparedSet
     from telewide.training.stages import Stage
 
@@ -46,7 +46,6 @@ class ConsoleObserver:
     _loss: float = math.nan
     _last_line_s: float = field(default_factory=time.monotonic)
     _judgement: str = ""
-    _is_set_shown: bool = False
 
     def close(self) -> None:
         """Take the bar away."""
@@ -56,8 +55,7 @@ class ConsoleObserver:
 
     def preparing(self, captures: CaptureSet) -> None:
         """Show a bar over the captures."""
-        if not self._is_set_shown:
-            self.said(f"{len(captures.captures)} captures in {captures.root}")
+        self.said(f"{len(captures.captures)} captures in {captures.root}")
         self._begin("measuring and correcting", total=len(captures.captures))
 
     def pair_prepared(self, report: PairReport | None) -> None:
@@ -67,9 +65,6 @@ class ConsoleObserver:
     def set_prepared(self, prepared: PreparedSet) -> None:
         """Print the table of the captures and the problems."""
         self.close()
-        if self._is_set_shown:  # `telewide run` prepares twice, for the training and for the depth
-            return
-        self._is_set_shown = True
         if self.shows_table and not self.is_quiet:
             self.console.print(captures_table([pair.report for pair in prepared.pairs]))
             self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
@@ -88,6 +83,15 @@ class ConsoleObserver:
         """Show a bar over the labels."""
         self._begin("semi-global labels to begin with", total=total)
         return self._advance
+
+    def detecting(self, total: int) -> Callable[[], None]:
+        """Show a bar over the board photos."""
+        self._begin("looking for the board", total=total)
+        return self._advance
+
+    def warned(self, message: str) -> None:
+        """Print a line that is not kept back."""
+        self.console.print(message, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def stage_started(self, stage: Stage, *, first_step: int) -> None:
         """Show a bar over the steps."""
