@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.boards import Board, list_boards, load_board
-from telewide.calibration.detect import detect_board
+from telewide.calibration.boards import Board, board_points_m, list_boards, load_board
+from telewide.calibration.detect import BoardView, detect_board
 from telewide.calibration.shots import BoardShot
 from telewide.capture.images import read_image
 from telewide.errors import InputError
@@ -23,6 +23,8 @@ from telewide.errors import InputError
 _MAX_SHOTS = 6
 _ENOUGH_PHOTOS = 2
 _LONGEST_PX = 1600
+_FEWEST_CORNERS = 8
+_FLATNESS = 0.02  # of the board's extent in the photo: more than a lens bends it, less than a wrong board is off
 _GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
@@ -58,7 +60,8 @@ def recognise_board(shots: Sequence[BoardShot]) -> RecognisedBoard:
     corners = dict.fromkeys(patterns, 0)
     n_seen = 0
     for path in _sample_paths(shots):
-        found = {pattern: _count_corners(path, boards[names[0]]) for pattern, names in patterns.items()}
+        grey_u8 = _reduced_grey(path)
+        found = {pattern: _count_corners(grey_u8, boards[names[0]]) for pattern, names in patterns.items()}
         for pattern, count in found.items():
             corners[pattern] += count
         n_seen += any(found.values())
@@ -92,9 +95,22 @@ def _sample_paths(shots: Sequence[BoardShot]) -> list[Path]:
     return [path for both in paths for path in both if path is not None]
 
 
-def _count_corners(path: Path, board: Board) -> int:
-    view = detect_board(_reduced_grey(path), board=board)
-    return 0 if view is None else len(view.ids)
+def _count_corners(grey_u8: NDArray[np.uint8], board: Board) -> int:
+    view = detect_board(grey_u8, board=board)
+    return len(view.ids) if view is not None and _is_flat(view, board) else 0
+
+
+def _is_flat(view: BoardView, board: Board) -> bool:
+    """Whether one homography carries the board to the photo: boards that share their markers place them differently."""
+    if len(view.ids) < _FEWEST_CORNERS:
+        return False
+    board_m = board_points_m(board)[view.ids][:, :2]
+    photo_from_board, _ = cv2.findHomography(board_m, view.points_px, 0)
+    if photo_from_board is None:
+        return False
+    carried = cv2.perspectiveTransform(board_m[:, None], photo_from_board)[:, 0]
+    off_px = np.linalg.norm(carried - view.points_px, axis=1)
+    return bool(np.median(off_px) < _FLATNESS * np.ptp(view.points_px, axis=0).max())
 
 
 def _reduced_grey(path: Path) -> NDArray[np.uint8]:

@@ -153,7 +153,7 @@ def bar_list(bars: Sequence[Bar], *, unit: str, caption: str, limit: float | Non
     """
     used = [bar.value for bar in bars if not bar.is_out and math.isfinite(bar.value)]
     longest = max([*used, limit or 0.0, 1e-9]) * 1.6
-    room = _PHOTO_WIDTH - _NAME_PX - 90
+    room = _PHOTO_WIDTH - _NAME_PX - 140
     parts = []
     for row, bar in enumerate(bars):
         top = row * _ROW_PX + 4

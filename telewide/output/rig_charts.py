@@ -120,7 +120,7 @@ def depth_figure(calibration: Calibration) -> str:
     chart = line_chart(
         lines,
         x=Axis("distance, m", 0.25, 10.0, is_log=True),
-        y=axis_over([0.0, highest], label="standard deviation of depth, % of the distance"),
+        y=axis_over([0.0, highest], label="error of depth, % of the distance"),
         caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity.",
     )
     head = "".join(f"<th>{html.escape(name)}</th>" for name, _ in stds)

@@ -1,0 +1,127 @@
+"""A rig in words, for a terminal: one line a fact, standard deviations behind the numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.result import CameraStd
+from telewide.calibration.rig_file import StoredRig
+from telewide.geometry.rig import Camera, StereoRig
+
+_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def rig_lines(stored: StoredRig) -> tuple[str, ...]:
+    """Describe a rig for people.
+
+    Args:
+        stored: what :func:`telewide.calibration.rig_file.read_rig` gave.
+
+    Returns:
+        Lines of text, an empty one between paragraphs.
+    """
+    rows = [
+        ("verdict", stored.quality.verdict),
+        *_cameras(stored),
+        *_between(stored),
+        *_quality(stored),
+        *_origin(stored),
+    ]
+    width = max(len(name) for name, _ in rows) + 2
+    checks = [
+        f"{check.status}  {check.name}: {check.advice}" for check in stored.quality.checks if check.status != "pass"
+    ]
+    out = [f"left out  {line}" for line in stored.left_out]
+    notes = [f"note  {line}" for line in stored.facts.notes]
+    lines = [f"{name:<{width}}{text}" for name, text in rows]
+    for paragraph in (checks, out, notes):
+        lines += ["", *paragraph] if paragraph else []
+    return tuple(lines)
+
+
+def summary_line(rig: StereoRig, quality: CalibrationQuality, *, baseline_std_m: float | None = None) -> str:
+    """Say in one line what a calibration gave."""
+    words = [
+        f"reprojection {_px(quality.tele_rms_px)} (tele) and {_px(quality.wide_rms_px)} (wide) RMS",
+        f"held-out epipolar error {_px(quality.epipolar_p90_px)} (90 % are below)",
+        f"f_tele / f_wide {rig.asymmetry:.3f}",
+    ]
+    if rig.is_scale_known:
+        words.append(f"baseline {_plus_minus(rig.baseline_m * 1e3, _thousand(baseline_std_m), 'mm', decimals=2)}")
+    return f"{quality.verdict}: {', '.join(words)}"
+
+
+def _cameras(stored: StoredRig) -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    both: Sequence[tuple[str, Camera, CameraStd | None]] = (
+        ("tele", stored.rig.tele, stored.tele_std),
+        ("wide", stored.rig.wide, stored.wide_std),
+    )
+    for name, camera, std in both:
+        focal = _plus_minus(camera.f_px, std and std.f_px, "px", decimals=1)
+        cx = _plus_minus(float(camera.K[0, 2]), std and std.cx_px, "px", decimals=1)
+        cy = _plus_minus(float(camera.K[1, 2]), std and std.cy_px, "px", decimals=1)
+        # A coefficient that is exactly 0 is not part of the lens model.
+        terms = [f"{k} {value:+.4f}" for k, value in zip(_COEFFICIENTS, camera.distortion, strict=False) if value]
+        rows += [
+            (name, f"photos of {camera.hw[1]} x {camera.hw[0]} px, focal length {focal}"),
+            ("", f"principal point {cx}, {cy}; distortion {' '.join(terms) or 'none'}"),
+        ]
+    return rows
+
+
+def _between(stored: StoredRig) -> list[tuple[str, str]]:
+    rig, std = stored.rig, stored.transform_std
+    turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(rig.wide_from_tele[:3, :3])) - 1) / 2))))
+    rows = [("f_tele / f_wide", f"{rig.asymmetry:.4f}"), ("turn between them", f"{turn_deg:.3f} degrees")]
+    if rig.is_scale_known:
+        baseline = _plus_minus(rig.baseline_m * 1e3, _thousand(std.baseline_m if std else None), "mm", decimals=2)
+        verified = "" if stored.facts.scale_verified else "  (nominal: nothing was measured)"
+        rows.append(("baseline", f"{baseline}{verified}"))
+    else:
+        rows.append(("baseline", "not known in metres"))
+    return rows
+
+
+def _quality(stored: StoredRig) -> list[tuple[str, str]]:
+    quality = stored.quality
+    return [
+        ("reprojection", f"{_px(quality.tele_rms_px)} (tele), {_px(quality.wide_rms_px)} (wide), RMS"),
+        (
+            "epipolar error",
+            f"{_px(quality.epipolar_p50_px)} median, {_px(quality.epipolar_p90_px)} 90 %, "
+            f"{_px(quality.epipolar_p99_px)} 99 %, tele px, in photos held out",
+        ),
+        ("odd against even", f"{_px(quality.cross_validation_px)} apart, tele px"),
+        ("joint views", str(stored.n_joint_views)),
+    ]
+
+
+def _origin(stored: StoredRig) -> list[tuple[str, str]]:
+    facts = stored.facts
+    focus = f"{facts.focus_distance_m:g} m" if facts.focus_distance_m is not None else None
+    named = (
+        ("made from", facts.source if facts.board is None else f"{facts.source}, {facts.board}"),
+        ("images", facts.image_pipeline),
+        ("focused at", focus),
+        ("created", facts.created_utc),
+    )
+    return [(name, text) for name, text in named if text is not None]
+
+
+def _plus_minus(value: float, std: float | None, unit: str, *, decimals: int) -> str:
+    if std is None or not math.isfinite(std):
+        return f"{value:.{decimals}f} {unit}"
+    return f"{value:.{decimals}f} ± {std:.{decimals}f} {unit}"
+
+
+def _thousand(value: float | None) -> float | None:
+    return None if value is None else value * 1e3
+
+
+def _px(value: float) -> str:
+    return f"{value:.2f} px" if math.isfinite(value) else "unknown"
