@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-
 from output.made_calibration import made_rig
+
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.output.rig_figures import camera_difference_px, cell_counts, depth_error_m, transfer_difference_px
 

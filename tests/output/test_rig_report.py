@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from output.made_calibration import CHECKS, DROPPED_REASON, made_calibration
+
 from telewide.calibration.quality import Check
 from telewide.calibration.result import Calibration
 from telewide.output.report import NextStep
