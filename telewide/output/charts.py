@@ -77,7 +77,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Line:
-    """A curve of a chart: (N, 2) x and y, and its name in the legend."""
+    """A curve or a group of dots: its name in the legend, and (N, 2) x and y."""
 
     label: str
     points: FloatArray
@@ -123,19 +123,32 @@ def line_chart(lines: Sequence[Line], *, x: Axis, y: Axis, caption: str) -> str:
         points = line.points[np.isfinite(line.points).all(axis=1)]
         path = " ".join(f"{a:.1f},{b:.1f}" for a, b in (_placed(point, x, y) for point in points))
         parts.append(f'<polyline class="curve series{number}" points="{path}"/>')
-        top = _MARGINS[1] + 14 + 18 * number
-        left = _MARGINS[0] + 12
+        top, left = _legend_place(number)
         parts.append(f'<line class="curve series{number}" x1="{left}" y1="{top}" x2="{left + 22}" y2="{top}"/>')
         parts.append(f'<text class="name" x="{left + 30}" y="{top + 4}">{html.escape(line.label)}</text>')
     return figure_svg("".join(parts), wh=_WH, caption=caption)
 
 
-def dot_chart(groups: Sequence[FloatArray], *, x: Axis, y: Axis, caption: str) -> str:
-    """Draw groups of (N, 2) points over two axes, each group in its colour; at most two groups."""
+def dot_chart(groups: Sequence[Line], *, x: Axis, y: Axis, caption: str) -> str:
+    """Draw groups of points over two axes, each in its colour and with its name; at most two groups.
+
+    Args:
+        groups: the second is drawn smaller, so that points of both at one place are seen.
+        x: along the bottom.
+        y: along the left side.
+        caption: the sentence below, and what a screen reader says.
+
+    Returns:
+        A figure element.
+    """
     parts = _axes(x, y)
-    for number, points in enumerate(groups):
-        placed = np.array([_placed(point, x, y) for point in points]).reshape(-1, 2)
-        parts.append(f'<path class="dots series{number}" stroke-width="8" d="{_dots_path(placed)}"/>')
+    for number, group in enumerate(groups):
+        placed = np.array([_placed(point, x, y) for point in group.points]).reshape(-1, 2)
+        width = 11 - 5 * number
+        parts.append(f'<path class="dots series{number}" stroke-width="{width}" d="{_dots_path(placed)}"/>')
+        top, left = _legend_place(number)
+        parts.append(f'<path class="dots series{number}" stroke-width="{width}" d="M{left + 11} {top}h0"/>')
+        parts.append(f'<text class="name" x="{left + 30}" y="{top + 4}">{html.escape(group.label)}</text>')
     return figure_svg("".join(parts), wh=_WH, caption=caption)
 
 
@@ -291,6 +304,10 @@ def _axes(x: Axis, y: Axis) -> list[str]:
         f"{html.escape(y.label)}</text>"
     )
     return parts
+
+
+def _legend_place(number: int) -> tuple[int, int]:
+    return _MARGINS[1] + 14 + 18 * number, _MARGINS[0] + 12
 
 
 def _tick_labels(axis: Axis, ticks: Sequence[float]) -> list[str]:

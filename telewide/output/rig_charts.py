@@ -141,11 +141,14 @@ def pose_figure(views: Sequence[ViewResult]) -> str:
     shown = [v for v in views if v.is_used and math.isfinite(v.tilt_deg) and math.isfinite(v.distance_m)]
     if not shown:
         return ""
-    groups = [_stacked([np.array([[v.distance_m, v.tilt_deg]]) for v in shown if v.camera == lens]) for lens in LENSES]
+    groups = [
+        Line(lens, _stacked([np.array([[v.distance_m, v.tilt_deg]]) for v in shown if v.camera == lens]))
+        for lens in LENSES
+    ]
     near_m, far_m = min(v.distance_m for v in shown), max(v.distance_m for v in shown)
     caption = (
         f"Each photo's board: {near_m:.2f} to {far_m:.2f} m away. Good: three distances or more, tilts of 20 to 50 "
-        "degrees in all directions; boards held straight say little. The first colour is tele, the second wide."
+        "degrees in all directions; boards held straight say little."
     )
     x = axis_over([near_m, far_m], label="distance of the board, m")
     y = Axis("tilt of the board, degrees", 0.0, max(60.0, *(v.tilt_deg for v in shown)))

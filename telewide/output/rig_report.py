@@ -19,6 +19,7 @@ from telewide.capture.rundir import write_text
 from telewide.geometry.rig import Camera
 from telewide.geometry.stereo import FloatMap
 from telewide.output.charts import CHART_STYLE
+from telewide.output.drawing import fitted_wh, scaled_image
 from telewide.output.report import (
     NextStep,
     facts_html,
@@ -40,7 +41,8 @@ from telewide.output.rig_charts import (
 
 FloatArray = NDArray[np.float64]
 
-_SCAN_LINES = 12
+_SCAN_LINES = 15
+_VIEW_WIDTH_PX = 720
 _VERDICTS = {
     "good": "Good: every check passed.",
     "usable": "Usable: it works, and the warnings below say what would make it better.",
@@ -53,7 +55,6 @@ _STYLE = """
 .mark { font-weight: 600; } .mark.pass { color: var(--good); } .mark.warn { color: var(--warn); }
 .mark.fail { color: var(--bad); }
 td.words, th.words { text-align: left; white-space: normal; max-width: 60ch; } td.words:empty { padding: 0; }
-.wide-picture { max-width: 1100px; }
 """
 
 
@@ -103,7 +104,7 @@ def rig_report_html(
         section_html("Odd against even photos", cross_validation_figures(calibration), css_class="charts"),
         section_html("Held-out epipolar error", epipolar_figure(quality), css_class="charts"),
         section_html("Depth error", depth_figure(calibration)),
-        section_html("A rectified pair", _rectified_html(rectified), css_class="wide-picture"),
+        section_html("A rectified pair", _rectified_html(rectified)),
         section_html("How the board was held", pose_figure(calibration.views), css_class="charts"),
         section_html("Made by", facts_html(facts)),
     ]
@@ -118,15 +119,15 @@ def scan_lines_picture(tele: FloatMap, wide: FloatMap) -> FloatMap:
         wide: (H, W, 3) likewise.
 
     Returns:
-        (H, 2 W + gap, 3) RGB in [0, 1].
+        (h, 2 w + gap, 3) RGB in [0, 1], as large as it is shown.
     """
-    height, width = tele.shape[:2]
-    gap = np.zeros((height, max(2, width // 100), 3), dtype=np.float32)
-    picture = np.concatenate([np.nan_to_num(tele), gap, np.nan_to_num(wide)], axis=1)
-    thickness = max(1, round(height / 400))
-    for row in np.linspace(0, height, _SCAN_LINES + 2)[1:-1].astype(int):
-        picture[row : row + thickness] = 0.35 * picture[row : row + thickness] + 0.65 * np.array([1.0, 0.5, 0.1])
-    return np.asarray(picture, dtype=np.float32)
+    wh = fitted_wh((tele.shape[1], tele.shape[0]), box_wh=(_VIEW_WIDTH_PX, _VIEW_WIDTH_PX))
+    shown = [scaled_image(np.nan_to_num(view), wh=wh) for view in (tele, wide)]
+    gap = np.zeros((wh[1], 8, 3), dtype=np.float32)
+    picture = np.concatenate([shown[0], gap, shown[1]], axis=1)
+    rows = np.linspace(0, wh[1], _SCAN_LINES + 2)[1:-1].astype(int)
+    picture[rows] = 0.1 * picture[rows] + 0.9 * np.array([1.0, 0.45, 0.1], dtype=np.float32)
+    return picture.astype(np.float32)
 
 
 def _summary(calibration: Calibration) -> str:
@@ -222,7 +223,7 @@ def _rectified_html(rectified: tuple[str, FloatMap, FloatMap] | None) -> str:
         return ""
     name, tele, wide = rectified
     label = "tele and wide after rectification. Good: whatever lies on a line in one lies on it in the other"
-    return picture_html(thumbnail(label, scan_lines_picture(tele, wide), longest_px=1100), name)
+    return picture_html(thumbnail(label, scan_lines_picture(tele, wide), longest_px=2 * _VIEW_WIDTH_PX + 8), name)
 
 
 def _with_std(value: float, std: float, unit: str) -> str:

@@ -50,7 +50,7 @@ def test_lines_and_dots_are_affine_in_their_values() -> None:
     points = np.array([[1.0, -4.0], [4.0, 0.5], [9.0, 4.5]])
     line = parsed(line_chart([Line("a & b", points)], x=x, y=y, caption="<c>"))
     drawn = np.array([pair.split(",") for pair in line.find(".//polyline").attrib["points"].split()], dtype=float)
-    dots = parsed(dot_chart([points], x=x, y=y, caption="c"))
+    dots = parsed(dot_chart([Line("d", points)], x=x, y=y, caption="c"))
     np.testing.assert_allclose(places(dots.find(".//path").attrib["d"]), drawn)
     for axis in (0, 1):
         slope, offset = np.polyfit(points[:, axis], drawn[:, axis], 1)

@@ -150,9 +150,9 @@ def test_a_poor_calibration_still_gives_a_page(tmp_path: Path) -> None:
 
 def test_scan_lines_cross_both_views() -> None:
     rng = np.random.default_rng(1)
-    tele, wide = rng.random((2, 100, 80, 3)).astype(np.float32)
+    tele, wide = rng.random((2, 540, 720, 3)).astype(np.float32)
     picture = scan_lines_picture(tele, wide)
-    is_kept = np.isclose(picture[:, :80], tele).all(axis=(1, 2))
+    is_kept = np.isclose(picture[:, :720], tele).all(axis=(1, 2))
     assert 8 <= (~is_kept).sum() <= 30
-    np.testing.assert_array_equal(picture[is_kept][:, -80:], wide[is_kept])
-    assert not np.isclose(picture[~is_kept][:, -80:], wide[~is_kept]).all(axis=(1, 2)).any()
+    np.testing.assert_array_equal(picture[is_kept][:, -720:], wide[is_kept])
+    assert not np.isclose(picture[~is_kept][:, -720:], wide[~is_kept]).all(axis=(1, 2)).any()
