@@ -1,0 +1,81 @@
+"""A rig in words: every number with its uncertainty where there is one, nothing that is not known."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from output.made_calibration import CHECKS, DROPPED_REASON, made_calibration
+
+from telewide.calibration.rig_file import RigFacts, StoredRig
+from telewide.output.rig_text import rig_lines, summary_line
+
+
+def stored_rig(*, is_scale_known: bool = True, scale_verified: bool = False) -> StoredRig:
+    calibration = made_calibration(is_scale_known=is_scale_known)
+    return StoredRig(
+        rig=calibration.rig,
+        tele_std=calibration.tele_std,
+        wide_std=calibration.wide_std,
+        transform_std=calibration.transform_std,
+        quality=calibration.quality,
+        facts=RigFacts(
+            image_pipeline="raw:Maker One",
+            focus_distance_m=1.5,
+            scale_verified=scale_verified,
+            board="chessboard_9x6",
+            notes=("squares are nominal",),
+        ),
+        n_joint_views=11,
+        left_out=(f"shot_03 wide: {DROPPED_REASON}",),
+    )
+
+
+def test_numbers_come_with_their_uncertainty() -> None:
+    text = "\n".join(rig_lines(stored_rig()))
+    for words in (
+        "3000.0 ± 1.5 px",
+        "1000.0 ± 0.4 px",
+        "799.5 ± 2.0 px",
+        "12.00 ± 0.05 mm",
+        "1600 x 1200",
+        "k1 -0.1000",
+    ):
+        assert words in text
+    for words in ("usable", "raw:Maker One", "1.5 m", "chessboard_9x6", DROPPED_REASON, "squares are nominal"):
+        assert words in text
+    turn_deg = np.degrees(np.hypot(0.01, 0.002))
+    assert f"{turn_deg:.3f} degrees" in text
+    assert CHECKS[1].advice in text
+    assert CHECKS[0].name not in text.partition("left out")[0].partition("warn")[2]  # passed checks need no words
+
+
+def test_nominal_and_unknown_scale_are_said() -> None:
+    assert "nominal" in "\n".join(rig_lines(stored_rig())).partition("note")[0]
+    assert "nominal" not in "\n".join(rig_lines(stored_rig(scale_verified=True))).partition("note")[0]
+    unknown = "\n".join(rig_lines(stored_rig(is_scale_known=False)))
+    assert "not known in metres" in unknown
+    assert " mm" not in unknown
+
+
+def test_what_nobody_knows_is_left_out() -> None:
+    bare = dataclasses.replace(
+        stored_rig(), tele_std=None, wide_std=None, transform_std=None, facts=RigFacts(source="scenes"), left_out=()
+    )
+    text = "\n".join(rig_lines(bare))
+    assert "3000.0 px" in text
+    assert "12.00 mm" in text
+    assert "±" not in text
+    assert "None" not in text
+    assert "nan" not in text
+
+
+def test_summary_is_one_line() -> None:
+    calibration = made_calibration()
+    line = summary_line(calibration.rig, calibration.quality, baseline_std_m=5e-5)
+    assert line.startswith("usable: ")
+    assert "12.00 ± 0.05 mm" in line
+    assert "\n" not in line
+    nan = float("nan")
+    without = dataclasses.replace(calibration.quality, epipolar_p90_px=nan)
+    assert "nan" not in summary_line(calibration.rig, without)
