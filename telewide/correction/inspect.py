@@ -176,7 +176,7 @@ def correct_pair(
     vertical = fit_vertical(fit_half if has_vertical else fit_half.select(np.arange(0)), hw=_hw(pair))
     fit_half, held_out = corrected_matches(fit_half, vertical), corrected_matches(held_out, vertical)
     wide = apply_vertical(pair.wide, vertical)
-    colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)))
+    colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)), held_out=held_out)
     corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour))
     return CorrectedPair(corrected, vertical, colour, fit_half, held_out)
 
