@@ -54,10 +54,12 @@ class Camera:
     def normalised(self, points_px: FloatArray) -> FloatArray:
         """Pixels (N, 2) of a photo to (N, 2) x/z and y/z of their rays, distortion taken out."""
         points = np.asarray(points_px, dtype=np.float64).reshape(-1, 2)
+        if len(points) == 0:
+            return points
         rays = cv2.undistortPoints(points[:, None], self.K, self._coefficients())
         normalised = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
         # OpenCV stops after five iterations, not exact for wide lenses; its versions differ in how to ask for more.
-        for _ in range(_INVERSE_ITERATIONS if len(points) else 0):
+        for _ in range(_INVERSE_ITERATIONS):
             again_px = self.project(np.column_stack([normalised, np.ones(len(normalised))]))
             normalised += (points - again_px) / np.diag(self.K)[:2]
         return normalised
