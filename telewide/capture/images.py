@@ -1,8 +1,9 @@
 """Read and write pictures and disparity maps.
 
 Every picture in memory is (H, W, 3) RGB float32 in [0, 1], sRGB-encoded, upright (EXIF orientation applied). Read are
-JPEG, PNG and TIFF with 8 or 16 bits per channel; grey, palette, alpha and CMYK become RGB. An embedded colour profile
-other than sRGB is converted (8 bit) or named in a warning (16 bit).
+JPEG, PNG and TIFF with 8 or 16 bits per channel, HEIC (8 bits, with the extra ``heif``), DNG and other RAW (exposure
+and tone: see `telewide.capture.raw`); grey, palette, alpha and CMYK become RGB. An embedded colour profile other than
+sRGB is converted (8 bit) or named in a warning (16 bit).
 PFM: rows from bottom to top, little endian, +inf for unknown on disk, NaN in memory.
 Letters: H W image.
 """
@@ -21,8 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
+from telewide.capture.exif import read_photo_facts
+from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
+from telewide.capture.heif import open_photo
+from telewide.capture.raw import develop, encoded
 from telewide.capture.rundir import replacing
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, TelewideError, UsageError
 
 if TYPE_CHECKING:
     import tifffile
@@ -30,17 +35,7 @@ if TYPE_CHECKING:
 FloatImage = NDArray[np.float32]
 Samples = NDArray[np.integer]
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
-RAW_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw", ".kdc"})
-HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif", ".avif"})
-
-_PILLOW_FORMATS = ("JPEG", "PNG", "TIFF")
-_PNG = b"\x89PNG\r\n\x1a\n"
-_TIFF = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
-_TAG_ORIENTATION, _TAG_ICC, _TAG_DNG_VERSION = 274, 34675, 50706
-_IFD_EXIF, _TAG_FOCAL_LENGTH = 0x8769, 0x920A
-_LONGEST_FOCAL_MM = 2000.0
-_EXPORT_HINT = "export it as JPEG, PNG or TIFF"
+_TAG_ORIENTATION, _TAG_ICC = 274, 34675
 # A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
 _SRGB_TOLERANCE = 2
 # Four channels of a 178-megapixel photo, which is also where Pillow stops: a larger size is a damaged header.
@@ -52,7 +47,7 @@ def read_image(path: Path) -> FloatImage:
     """Read a photo upright, as sRGB.
 
     Args:
-        path: a JPEG, PNG or TIFF file.
+        path: a JPEG, PNG, TIFF, HEIC, DNG or other RAW file.
 
     Returns:
         (H, W, 3) RGB float32 in [0, 1].
@@ -60,14 +55,17 @@ def read_image(path: Path) -> FloatImage:
     Raises:
         UsageError: there is no such file.
         InputError: the file is empty, cut off, damaged, or of another format.
+        MissingPartError: a HEIC photo without the extra that reads it.
     """
-    data = _read_bytes(path)
-    _refuse_other_formats(path, data)
+    data = read_bytes(path)
+    kind = photo_format(path, data)
+    if kind == "RAW":
+        return encoded(develop(path, data))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on photos above 89 megapixels
-            samples, orientation = _decode(path, data)
-    except (InputError, MemoryError):
+            samples, orientation = _decode(path, data, kind)
+    except (TelewideError, MemoryError):
         raise
     except Exception as error:  # the decoders fail on damaged files in a dozen ways
         raise InputError(
@@ -132,7 +130,7 @@ def read_pfm(path: Path) -> FloatImage:
         UsageError: there is no such file.
         InputError: not a PFM, three channels, or cut off.
     """
-    data = _read_bytes(path)
+    data = read_bytes(path)
     kind, *header = data.split(b"\n", 3)
     if kind.strip() != b"Pf":
         found = "a PFM with three channels" if kind.strip() == b"PF" else "no PFM"
@@ -186,65 +184,24 @@ def focal_length_mm(path: Path) -> float | None:
     """Physical focal length that a photo's EXIF states: which of a phone's lenses took it.
 
     Args:
-        path: a JPEG, PNG or TIFF.
+        path: a photo.
 
     Returns:
         mm, or None where the file says nothing believable.
     """
     try:
-        with Image.open(path) as photo:
-            value = float(photo.getexif().get_ifd(_IFD_EXIF).get(_TAG_FOCAL_LENGTH, 0))
-    except (OSError, SyntaxError, ValueError, TypeError, ZeroDivisionError, Image.DecompressionBombError):
+        return read_photo_facts(path).focal_length_mm
+    except TelewideError:
         return None
-    return value if 0 < value < _LONGEST_FOCAL_MM else None
 
 
-def _read_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise UsageError(f"{path} does not exist") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path} is a folder; a file was expected") from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
-    if not data:
-        raise InputError(f"{path} is empty (0 bytes)", hint="copy the file again from the phone")
-    return data
-
-
-def unread_format(path: Path) -> str | None:
-    """Name the photo format of a file that is not read yet, by its suffix; None for every other file.
-
-    Args:
-        path: the file; it is not opened.
-
-    Returns:
-        "RAW", "HEIC" or None.
-    """
-    suffix = path.suffix.lower()
-    if suffix in RAW_SUFFIXES:
-        return "RAW"
-    return "HEIC" if suffix in HEIF_SUFFIXES else None
-
-
-def _refuse_other_formats(path: Path, data: bytes) -> None:
-    other = unread_format(path)
-    if other is None and data[4:8] == b"ftyp":
-        other = "HEIC"
-    if other is not None:
-        raise InputError(f"{path} is a {other} photo; JPEG, PNG and TIFF are read", hint=_EXPORT_HINT)
-    if not data.startswith((b"\xff\xd8", _PNG, *_TIFF)):
-        raise InputError(f"{path} is no photo that can be read; JPEG, PNG and TIFF are read", hint=_EXPORT_HINT)
-
-
-def _decode(path: Path, data: bytes) -> tuple[Samples, int]:
+def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
     """Return the stored samples as sRGB and the EXIF orientation still to be applied."""
-    if data.startswith(_TIFF):
+    if kind == "TIFF":
         deep = _decode_deep_tiff(path, data)
         if deep is not None:
             return deep
-    with Image.open(BytesIO(data), formats=_PILLOW_FORMATS) as photo:
+    with open_photo(path, BytesIO(data), kind) as photo:
         photo.load()  # also finds cut-off files, which OpenCV lets pass
         # Pillow turns a TIFF itself when it loads it, and then forgets its tag.
         orientation = int(photo.getexif().get(_TAG_ORIENTATION, 1) or 1)
@@ -270,8 +227,6 @@ def _decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
 
     with tifffile.TiffFile(BytesIO(data)) as tiff:
         page = tiff.pages.first
-        if _TAG_DNG_VERSION in page.tags:
-            raise InputError(f"{path} is a RAW photo (DNG); JPEG, PNG and TIFF are read", hint=_EXPORT_HINT)
         if page.dtype is None or page.dtype.kind not in "bu" or page.dtype.itemsize > 2:
             raise InputError(f"{path} has values of type {page.dtype}; TIFF with 8 or 16 bits per channel is read")
         if page.dtype != np.uint16:

@@ -8,6 +8,7 @@ Four layouts are recognised, also mixed in one folder; letter case does not matt
     tele.*                  wide.*                  the given folder is one capture
 
 A true disparity map, where there is one, is ``<name>/truth.pfm``, ``<name>_truth.pfm`` or ``truth/<name>.pfm``.
+Of a RAW and its JPEG twin the RAW is taken, if both views have one.
 What is wrong with one capture is a `Problem` and leaves the others alone.
 """
 
@@ -22,12 +23,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
-from telewide.capture.images import HEIF_SUFFIXES, IMAGE_SUFFIXES, RAW_SUFFIXES, unread_format
+from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
 from telewide.errors import InputError, UsageError
 
 # Of two files for one view the one that lost less is taken.
-_SUFFIX_ORDER = (".tif", ".tiff", ".png", ".jpg", ".jpeg")
-_PHOTO_SUFFIXES = IMAGE_SUFFIXES | RAW_SUFFIXES | HEIF_SUFFIXES
+_SUFFIX_ORDER = (*sorted(RAW_SUFFIXES), ".tif", ".tiff", ".png", *sorted(HEIF_SUFFIXES), ".jpg", ".jpeg")
 _TRUTH_SUFFIX = ".pfm"
 _VIEWS = ("tele", "wide")
 _MAX_LISTED = 5
@@ -134,7 +134,7 @@ def _add_capture_folder(found: _Candidates, folder: Path) -> None:
         role = file.stem.casefold()
         if role in {*_VIEWS, "truth"}:
             found[key][role].append(file)
-    if key not in found and any(file.suffix.lower() in _PHOTO_SUFFIXES for file in files):
+    if key not in found and any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
         found[key]["unnamed"].extend(files)
 
 
@@ -160,12 +160,14 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
     for (name, _), roles in sorted(candidates.items(), key=lambda item: item[0]):
         message = _why_unusable(roles)
         if message is None and name in captures:
-            message = f"{_best(roles['tele'])} is not read: {captures[name].tele_path} has the same name"
+            message = f"{_best_pair(roles)[0]} is not read: {captures[name].tele_path} has the same name"
         if message is not None:
             problems.append(Problem(name, message))
             continue
-        problems += [_ambiguity(name, view, roles[view]) for view in _VIEWS if len(_readable(roles[view])) > 1]
-        captures[name] = Capture(name, _best(roles["tele"]), _best(roles["wide"]), _truth(roles))
+        tele, wide = _best_pair(roles)
+        for view, taken in zip(_VIEWS, (tele, wide), strict=True):
+            problems += _ambiguities(name, view, taken, roles[view])
+        captures[name] = Capture(name, tele, wide, _truth(roles))
     return list(captures.values()), problems
 
 
@@ -173,31 +175,45 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
     if "unnamed" in roles:
         return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
     for view, other in (_VIEWS, _VIEWS[::-1]):
-        if not roles.get(view):
+        if not _photos(roles.get(view, [])):
             present = roles.get(other) or roles.get("truth") or []
             return f"the {view} view is missing; found {_listed(present)}"
-        if not _readable(roles[view]):
-            photo = roles[view][0]
-            return f"{photo} is a {unread_format(photo)} photo; export it as JPEG, PNG or TIFF"
-    tele, wide = (_best(roles[view]) for view in _VIEWS)
+    tele, wide = _best_pair(roles)
     if is_same_file(tele, wide):
         return f"{tele} and {wide} are the same picture; two different photos were expected"
     return None
 
 
-def _readable(paths: Iterable[Path]) -> list[Path]:
-    """Return the files that can be read, the best first; a RAW twin of a JPEG is passed over."""
-    readable = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
-    return sorted(readable, key=lambda path: (_SUFFIX_ORDER.index(path.suffix.lower()), str(path)))
+def _best_pair(roles: dict[str, list[Path]]) -> tuple[Path, Path]:
+    """Return the files that lost least; where there is a choice both RAW or neither, whose distortion differs."""
+    tele, wide = (_photos(roles[view]) for view in _VIEWS)
+    if _is_raw(tele[0]) != _is_raw(wide[0]):
+        tele, wide = ([path for path in paths if not _is_raw(path)] or paths for paths in (tele, wide))
+    return tele[0], wide[0]
 
 
-def _best(paths: Iterable[Path]) -> Path:
-    return _readable(paths)[0]
+def _photos(paths: Iterable[Path]) -> list[Path]:
+    """Return the photos among files, the best first."""
+    return sorted((path for path in paths if path.suffix.lower() in PHOTO_SUFFIXES), key=_rank)
 
 
-def _ambiguity(name: str, view: str, paths: Iterable[Path]) -> Problem:
-    best, *others = _readable(paths)
-    return Problem(name, f"two files for the {view} view: {best} is taken, {_listed(others)} is not", is_skipped=False)
+def _rank(path: Path) -> tuple[int, str]:
+    return _SUFFIX_ORDER.index(path.suffix.lower()), str(path)
+
+
+def _is_raw(path: Path) -> bool:
+    return path.suffix.lower() in RAW_SUFFIXES
+
+
+def _ambiguities(name: str, view: str, taken: Path, paths: Iterable[Path]) -> list[Problem]:
+    """Say which files are passed over; not of the twins that phones write, a RAW with a JPEG or HEIC."""
+    others = [
+        path
+        for path in _photos(paths)
+        if path != taken and (path.stem != taken.stem or _is_raw(path) == _is_raw(taken))
+    ]
+    told = f"two files for the {view} view: {taken} is taken, {_listed(others)} is not"
+    return [Problem(name, told, is_skipped=False)] if others else []
 
 
 def _truth(roles: dict[str, list[Path]]) -> Path | None:
@@ -252,7 +268,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _is_photo_or_truth(path: Path) -> bool:
-    return path.suffix.lower() in _PHOTO_SUFFIXES | {_TRUTH_SUFFIX} and path.is_file()
+    return path.suffix.lower() in PHOTO_SUFFIXES | {_TRUTH_SUFFIX} and path.is_file()
 
 
 def _normal(name: str) -> str:

@@ -107,9 +107,17 @@ def test_what_lies_about_is_not_looked_at(tmp_path: Path) -> None:
     assert captures.problems == ()
 
 
-def test_raw_twins_are_passed_over(tmp_path: Path) -> None:
+def test_raw_is_taken_before_its_twins(tmp_path: Path) -> None:
     captures = find_captures(fill(tmp_path, ["A_tele.dng", "A_tele.jpg", "A_wide.jpg", "A_wide.DNG", "A_wide.heic"]))
-    assert found(captures) == {"A": ("A_tele.jpg", "A_wide.jpg")}
+    assert found(captures) == {"A": ("A_tele.dng", "A_wide.DNG")}
+    assert captures.problems == ()
+
+
+def test_raw_is_not_paired_with_jpeg_where_its_twin_is_there(tmp_path: Path) -> None:
+    names = ["A/tele.dng", "A/tele.jpg", "A/wide.jpg", "B/tele.heic", "B/wide.nef", "B/wide.heic", "C_t.dng", "C_w.jpg"]
+    captures = find_captures(fill(tmp_path, names))
+    expected = {"A": ("A/tele.jpg", "A/wide.jpg"), "B": ("B/tele.heic", "B/wide.heic"), "C": ("C_t.dng", "C_w.jpg")}
+    assert found(captures) == expected
     assert captures.problems == ()
 
 
@@ -152,8 +160,7 @@ def the_problem(folder: Path) -> str:
         (["tele/bad.jpg"], "the wide view is missing; found bad.jpg"),
         (["bad/truth.pfm"], "the tele view is missing; found truth.pfm"),
         (["bad/telle.jpg", "bad/wide_.jpg"], "bad holds neither tele.* nor wide.*"),
-        (["bad/tele.heic", "bad/wide.jpg"], "tele.heic is a HEIC photo; export it as JPEG, PNG or TIFF"),
-        (["bad/tele.jpg", "bad/wide.DNG"], "wide.DNG is a RAW photo; export it as JPEG, PNG or TIFF"),
+        (["bad/tele.pfm", "bad/wide.jpg"], "the tele view is missing; found wide.jpg"),
     ],
 )
 def test_a_capture_that_cannot_be_used(tmp_path: Path, names: list[str], message: str) -> None:

@@ -1,0 +1,251 @@
+"""What a photo's EXIF says: which lens took it, when, and how (CIPA DC-008).
+
+A lens is known by FocalLength, the physical one: LensModel has several spellings for one lens, and
+FocalLengthIn35mmFilm includes digital crop. Numbers no camera has are taken as not stated.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import BinaryIO
+
+import tifffile
+from PIL import Image, TiffImagePlugin
+
+from telewide.capture.formats import TAG_DNG_VERSION, PhotoFormat, format_by_head, open_tiff, read_bytes
+from telewide.capture.heif import open_photo
+from telewide.capture.raw import stored_hw
+from telewide.errors import InputError
+
+_IFD_EXIF, _NEW_SUBFILE = 34665, 254
+_MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL = 271, 272, 274, 50708
+_FOCAL_LENGTH, _F35, _DIGITAL_ZOOM, _DISTANCE = 37386, 41989, 41988, 37382
+# Date, its fraction of a second, its offset from UTC; the moment of exposure first.
+_DATES = ((36867, 37521, 36881), (36868, 37522, 36882), (306, 37520, 36880))
+_LONGEST_FOCAL_MM = 2000.0
+_FARTHEST_M = 10_000.0
+_INFINITY = 0xFFFFFFFF
+_HEAD_BYTES = 64
+_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
+_KINDS = {"JPEG": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
+
+Tags = Mapping[int, object]
+
+
+@dataclass(frozen=True)
+class PhotoFacts:
+    """What a photo states about itself; None where it says nothing believable.
+
+    Attributes:
+        kind: "raw", "jpeg" (HEIC too: the same processing in the phone), "tiff" or "png".
+        hw: height and width, px, upright.
+        make: of the phone.
+        model: of the phone.
+        focal_length_mm: physical: which lens.
+        f35_mm: focal length of equal field of view on 36 x 24 mm, digital crop included.
+        taken: moment of exposure with fractions of a second; with a time zone where the photo states one.
+        orientation: EXIF orientation, 1 to 8.
+        digital_zoom_ratio: 1 for none.
+        subject_distance_m: where the lens was focused; inf for infinity.
+    """
+
+    kind: str
+    hw: tuple[int, int] | None = None
+    make: str | None = None
+    model: str | None = None
+    focal_length_mm: float | None = None
+    f35_mm: float | None = None
+    taken: datetime | None = None
+    orientation: int = 1
+    digital_zoom_ratio: float | None = None
+    subject_distance_m: float | None = None
+
+    @property
+    def camera(self) -> str:
+        """Make and model in one, the make not said twice; "unknown" where neither is stated."""
+        make, model = self.make or "", self.model or ""
+        both = model if model.casefold().startswith(make.casefold()) else f"{make} {model}"
+        return both.strip() or make or "unknown"
+
+    @property
+    def crop_35(self) -> float | None:
+        """``f35 / f``: constant for a lens, larger where the photo is a digital crop."""
+        return self.f35_mm / self.focal_length_mm if self.f35_mm and self.focal_length_mm else None
+
+
+def read_photo_facts(path: Path) -> PhotoFacts:
+    """Read what a photo states about itself.
+
+    Args:
+        path: JPEG, HEIC, PNG, TIFF, DNG or another RAW that is built like a TIFF.
+
+    Returns:
+        The facts; a photo without EXIF states its size alone.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: no photo.
+        MissingPartError: a HEIC photo without the extra that reads it.
+    """
+    head = read_bytes(path, at_most=_HEAD_BYTES)
+    kind = format_by_head(path, head)
+    with path.open("rb") as stream:
+        if kind in {"TIFF", "RAW"}:
+            tags, hw = _tags_of_tiff(stream)
+            kind = "RAW" if TAG_DNG_VERSION in tags else kind
+        else:
+            tags, hw = _tags_of_photo(path, stream, kind)
+    return _facts(_KINDS[kind], tags, hw)
+
+
+def image_pipeline(path: Path) -> str:
+    """Name the way from the sensor to a photo: a calibration holds for one such way only.
+
+    Phones take the lens distortion out of JPEG and HEIC, and crop, but not of RAW.
+
+    Args:
+        path: a photo.
+
+    Returns:
+        ``<kind>:<make model>``, for instance "raw:Google Pixel 8 Pro" or "jpeg:Apple iPhone 11 Pro"; HEIC counts as
+        "jpeg"; "jpeg:unknown" without EXIF.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: no photo.
+    """
+    facts = read_photo_facts(path)
+    return f"{facts.kind}:{facts.camera}"
+
+
+def pipeline_conflict(calibrated: str, found: str) -> str | None:
+    """Tell why a calibration does not hold for a photo.
+
+    Args:
+        calibrated: `image_pipeline` of the calibration's photos.
+        found: that of the photo.
+
+    Returns:
+        One sentence, or None where nothing speaks against it: one kind, and one camera where both name theirs.
+    """
+    (kind, _, camera), (found_kind, _, found_camera) = calibrated.partition(":"), found.partition(":")
+    if (kind == "raw") != (found_kind == "raw"):
+        return f"the calibration was made from {_spoken(kind)}, this photo is {_spoken(found_kind)}"
+    if "unknown" not in (camera, found_camera) and camera != found_camera:
+        return f"the calibration is of a {camera}, this photo of a {found_camera}"
+    return None
+
+
+def seconds_between(first: datetime, second: datetime) -> float:
+    """Return how long after `first` `second` is, s; time zones count where both have one."""
+    if (first.tzinfo is None) != (second.tzinfo is None):
+        first, second = first.replace(tzinfo=None), second.replace(tzinfo=None)
+    return (second - first).total_seconds()
+
+
+def _spoken(kind: str) -> str:
+    return (
+        "RAW" if kind == "raw" else f"{kind.upper()}, which the phone has processed" if kind == "jpeg" else kind.upper()
+    )
+
+
+def _tags_of_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> tuple[Tags, tuple[int, int] | None]:
+    """Return the tags and the stored height and width; nothing where the photo is damaged."""
+    with warnings.catch_warnings(), suppress(*_DAMAGES):
+        warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
+        with open_photo(path, stream, kind) as photo:
+            exif = photo.getexif()
+            return {**exif, **exif.get_ifd(_IFD_EXIF)}, (photo.height, photo.width)
+    return {}, None
+
+
+def _tags_of_tiff(stream: BinaryIO) -> tuple[Tags, tuple[int, int] | None]:
+    """Return the same of a TIFF, a DNG or another RAW that is built like a TIFF."""
+    tags: dict[int, object] = {}
+    with suppress(InputError), open_tiff(stream) as tiff:
+        first = tiff.pages.first
+        tags = {tag.code: tag.value for tag in first.tags}
+        for name, value in (first.tags.valueof(_IFD_EXIF) or {}).items():
+            tags[int(tifffile.TIFF.EXIF_TAGS[name]) if isinstance(name, str) else int(name)] = value
+        is_plain = TAG_DNG_VERSION not in tags and first.tags.valueof(_NEW_SUBFILE, default=0) == 0
+        return tags, (int(first.imagelength), int(first.imagewidth)) if is_plain else stored_hw(tiff)
+    return tags, None
+
+
+def _facts(kind: str, tags: Tags, hw: tuple[int, int] | None) -> PhotoFacts:
+    orientation = int(_number(tags.get(_ORIENTATION)) or 1)
+    is_turned = orientation in {5, 6, 7, 8}
+    zoom = _number(tags.get(_DIGITAL_ZOOM))
+    return PhotoFacts(
+        kind=kind,
+        hw=(hw[1], hw[0]) if hw and is_turned else hw,
+        make=_text(tags.get(_MAKE)),
+        model=_text(tags.get(_MODEL)) or _text(tags.get(_UNIQUE_MODEL)),
+        focal_length_mm=_within(_number(tags.get(_FOCAL_LENGTH)), _LONGEST_FOCAL_MM),
+        f35_mm=_within(_number(tags.get(_F35)), _LONGEST_FOCAL_MM),
+        taken=_moment(tags),
+        orientation=orientation if 1 <= orientation <= 8 else 1,
+        digital_zoom_ratio=1.0 if zoom == 0 else zoom,  # 0 states that there was none
+        subject_distance_m=_distance_m(tags.get(_DISTANCE)),
+    )
+
+
+def _fraction(value: object) -> tuple[float, float] | None:
+    """Return numerator and denominator of what the readers return for a number."""
+    if isinstance(value, tuple | list) and len(value) == 1:
+        value = value[0]
+    if isinstance(value, tuple | list) and len(value) == 2:
+        return float(value[0]), float(value[1])
+    if isinstance(value, TiffImagePlugin.IFDRational):
+        return float(value.numerator), float(value.denominator)
+    return (float(value), 1.0) if isinstance(value, int | float) else None
+
+
+def _number(value: object) -> float | None:
+    fraction = _fraction(value)
+    if fraction is None or fraction[1] == 0:
+        return None
+    number = fraction[0] / fraction[1]
+    return number if math.isfinite(number) else None
+
+
+def _within(value: float | None, limit: float) -> float | None:
+    return value if value is not None and 0 < value < limit else None
+
+
+def _distance_m(value: object) -> float | None:
+    fraction = _fraction(value)
+    if fraction is not None and fraction[0] == _INFINITY:
+        return math.inf
+    return _within(_number(value), _FARTHEST_M)
+
+
+def _text(value: object) -> str | None:
+    """Return a text without the padding some cameras write."""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", errors="replace")
+    return (value.replace("\0", " ").strip() or None) if isinstance(value, str) else None
+
+
+def _moment(tags: Tags) -> datetime | None:
+    for date_tag, fraction_tag, offset_tag in _DATES:
+        date = _text(tags.get(date_tag))
+        if not date:
+            continue
+        try:
+            taken = datetime.strptime(date, "%Y:%m:%d %H:%M:%S")
+        except ValueError:
+            continue
+        fraction = _text(tags.get(fraction_tag)) or ""
+        if fraction.isdecimal():
+            taken += timedelta(seconds=float(f"0.{fraction}"))
+        with suppress(ValueError):
+            return taken.replace(tzinfo=datetime.strptime(_text(tags.get(offset_tag)) or "", "%z").tzinfo)
+        return taken
+    return None

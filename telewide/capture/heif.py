@@ -1,0 +1,65 @@
+"""Photos that Pillow decodes, HEIC among them: that one needs the extra ``heif`` (pillow-heif).
+
+HEIC turns itself upright when it is decoded, and its EXIF then says upright.
+"""
+
+from __future__ import annotations
+
+import logging
+from importlib.util import find_spec
+from pathlib import Path
+from typing import BinaryIO
+
+from PIL import Image, features
+
+from telewide.capture.formats import PhotoFormat
+from telewide.errors import InputError, MissingPartError
+
+_SDR_SRGB_PRIMARIES = {0, 1, 2}
+_HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
+_log = logging.getLogger("telewide")
+
+
+def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
+    """Open a photo without decoding its pixels yet.
+
+    Args:
+        path: to be named in messages.
+        stream: the file, open for reading.
+        kind: its format, not RAW.
+
+    Returns:
+        The photo; to be closed by the caller.
+
+    Raises:
+        MissingPartError: HEIC, and the extra is not installed.
+        InputError: AVIF, and this Pillow cannot read it.
+        OSError: damaged.
+    """
+    if kind == "HEIF":
+        if find_spec("pillow_heif") is None:
+            raise MissingPartError(
+                f"{path} is a HEIC photo; reading it needs a part that is not installed",
+                hint="pip install 'telewide[heif]', or export it as JPEG",
+            )
+        import pillow_heif
+
+        pillow_heif.register_heif_opener()
+        photo = Image.open(stream, formats=("HEIF",))
+        _warn_of_colours(path, photo)
+        return photo
+    if kind == "AVIF" and not features.check("avif"):
+        raise InputError(f"{path} is an AVIF photo, which this Pillow cannot read", hint="export it as JPEG or PNG")
+    return Image.open(stream, formats=(kind,))
+
+
+def _warn_of_colours(path: Path, photo: Image.Image) -> None:
+    """Say which colours are read wrongly: those told by numbers (ITU-T H.273) instead of by a profile."""
+    numbers = photo.info.get("nclx_profile")
+    if not isinstance(numbers, dict) or photo.info.get("icc_profile"):
+        return
+    transfer = _HDR_TRANSFERS.get(int(numbers.get("transfer_characteristics", 2)))
+    if transfer:
+        _log.warning("%s is an HDR photo (%s); its tones are read as sRGB", path, transfer)
+    elif int(numbers.get("color_primaries", 2)) not in _SDR_SRGB_PRIMARIES:
+        _log.warning("%s has wider colours than sRGB; they are read as sRGB", path)
