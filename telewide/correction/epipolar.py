@@ -1,42 +1,25 @@
 """How far matches of two photos lie from the rows of a rig: the vertical misfit after an ideal rectification.
 
-The rectified frame shares tele's lens centre: x from tele to wide, z as near to tele's optical axis as x allows. Both
-views are thought at tele's focal length, so that a misfit is in tele's pixels; ``vertical_px = y_tele - y_wide``.
+The rectified frame is that of :mod:`telewide.geometry.rectification`, x from tele to wide; both views are thought at
+tele's focal length, so that a misfit is in tele's pixels; ``vertical_px = y_tele - y_wide``.
 Letters: N matches.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.rig import StereoRig
+from telewide.geometry.rectification import rectifying_rotation
+from telewide.geometry.rig import StereoRig, rigid_transform
 
 FloatArray = NDArray[np.float64]
 
-
-def rectified_axes(rig: StereoRig) -> FloatArray:
-    """Find the axes of the rectified frame.
-
-    Args:
-        rig: with a baseline that is not tele's optical axis.
-
-    Returns:
-        (3, 3), rows x, y, z in tele's frame: ``rectified_from_tele``, right-handed.
-
-    Raises:
-        ValueError: there is no baseline, or it is tele's optical axis.
-    """
-    wide_centre = -rig.wide_from_tele[:3, :3].T @ rig.wide_from_tele[:3, 3]
-    length = float(np.linalg.norm(wide_centre))
-    if not length > 0:
-        raise ValueError("a rig without a baseline cannot be rectified")
-    x = wide_centre / length
-    z = np.array([0.0, 0.0, 1.0]) - x[2] * x
-    if np.linalg.norm(z) < 1e-6:
-        raise ValueError("one lens stands in front of the other: such a rig cannot be rectified")
-    z /= np.linalg.norm(z)
-    return np.stack([x, np.cross(z, x), z])
+MATCHING_SIDE_PX = 1600
+"""Longer side of the views that are matched, whatever the photos' size."""
 
 
 def rectified_points(tele_px: FloatArray, wide_px: FloatArray, *, rig: StereoRig) -> tuple[FloatArray, FloatArray]:
@@ -50,10 +33,11 @@ def rectified_points(tele_px: FloatArray, wide_px: FloatArray, *, rig: StereoRig
     Returns:
         (N, 2) of tele and (N, 2) of wide.
     """
-    rectified_from_tele = rectified_axes(rig)
-    rectified_from_wide = rectified_from_tele @ rig.wide_from_tele[:3, :3].T
-    return _turned(rig.tele.normalised(tele_px), rectified_from_tele), _turned(
-        rig.wide.normalised(wide_px), rectified_from_wide
+    rect_from_tele = rectifying_rotation(rig)
+    rect_from_wide = rect_from_tele @ rig.wide_from_tele[:3, :3].T
+    return (
+        turned_points(rig.tele.normalised(tele_px), rotation=rect_from_tele),
+        turned_points(rig.wide.normalised(wide_px), rotation=rect_from_wide),
     )
 
 
@@ -72,6 +56,78 @@ def vertical_misfit_px(tele_px: FloatArray, wide_px: FloatArray, *, rig: StereoR
     return np.asarray(rig.tele.f_px * (tele[:, 1] - wide[:, 1]))
 
 
-def _turned(normalised: FloatArray, rotation: FloatArray) -> FloatArray:
+def epipolar_misfit_px(tele: FloatArray, wide: FloatArray, *, wide_from_tele: FloatArray, f_px: float) -> FloatArray:
+    """Misfit of matches for any direction of the baseline, also one along the optical axis.
+
+    The square root of 2 times Sampson's distance: where the baseline lies across, the same as the vertical misfit up to
+    its sign.
+
+    Args:
+        tele: (N, 2) x/z and y/z of the rays of tele.
+        wide: (N, 2) of wide, the same points.
+        wide_from_tele: (4, 4) rigid transform; the length of its translation does not count.
+        f_px: focal length the misfit is stated at.
+
+    Returns:
+        (N,) signed, px.
+    """
+    tele_rays, wide_rays = (np.column_stack([points, np.ones(len(points))]) for points in (tele, wide))
+    x, y, z = wide_from_tele[:3, 3] / np.linalg.norm(wide_from_tele[:3, 3])
+    E = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ wide_from_tele[:3, :3]
+    wide_lines, tele_lines = tele_rays @ E.T, wide_rays @ E
+    squared = (wide_lines[:, :2] ** 2).sum(axis=1) + (tele_lines[:, :2] ** 2).sum(axis=1)
+    distance = (wide_rays * wide_lines).sum(axis=1) / np.sqrt(np.maximum(squared, 1e-24))
+    return np.asarray(f_px * np.sqrt(2.0) * distance)
+
+
+def moved_rig(
+    rig: StereoRig,
+    *,
+    offset_px: float = 0.0,
+    scale: float = 1.0,
+    rotation_vector: FloatArray,
+    wide_centre: FloatArray | None = None,
+) -> StereoRig:
+    """Move wide of a rig, tele and the baseline's length staying.
+
+    Args:
+        rig: as calibrated.
+        offset_px: vertical misfit to take out by shifting wide's principal point across the baseline, tele px.
+        scale: what wide's focal length is multiplied with.
+        rotation_vector: (3,) rad, turn of wide about its lens centre, in wide's frame.
+        wide_centre: (3,) direction from tele to wide, in tele's frame; None keeps it.
+
+    Returns:
+        The rig of a shot.
+    """
+    turn = np.asarray(cv2.Rodrigues(np.asarray(rotation_vector, dtype=np.float64).reshape(3, 1))[0], dtype=np.float64)
+    rotation = turn @ rig.wide_from_tele[:3, :3]
+    translation_m = turn @ rig.wide_from_tele[:3, 3]
+    if wide_centre is not None:
+        translation_m = -rig.baseline_m / float(np.linalg.norm(wide_centre)) * (rotation @ wide_centre)
+    K = rig.wide.K.copy()
+    K[:2, :2] *= scale
+    if offset_px:
+        K[:2, 2] -= offset_px / rig.asymmetry * across_in_wide(rig)
+    return replace(
+        rig,
+        wide=replace(rig.wide, K=K),
+        wide_from_tele=rigid_transform(rotation=rotation, translation=translation_m),
+    )
+
+
+def across_in_wide(rig: StereoRig) -> FloatArray:
+    """(2,) unit vector across the baseline, in the photo of wide."""
+    across = (rig.wide_from_tele[:3, :3] @ rectifying_rotation(rig)[1])[:2]
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def matching_unit_px(rig: StereoRig) -> float:
+    """Tele pixels in one pixel of the views that are matched: above 1 for photos larger than those views."""
+    return max(1.0, max(rig.tele.hw) / MATCHING_SIDE_PX)
+
+
+def turned_points(normalised: FloatArray, *, rotation: FloatArray) -> FloatArray:
+    """Turn (N, 2) rays x/z, y/z by a (3, 3) orthogonal matrix."""
     rays = np.column_stack([normalised, np.ones(len(normalised))]) @ rotation.T
     return np.asarray(rays[:, :2] / rays[:, 2:])

@@ -8,16 +8,44 @@ Letters: N matches.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.epipolar import rectified_axes
-from telewide.geometry.rig import StereoRig, rigid_transform
+from telewide.correction.epipolar import (
+    matching_unit_px,
+    moved_rig,
+    turned_points,
+    vertical_misfit_px,
+)
+from telewide.correction.matches import Matches, split_matches
+from telewide.correction.pose import fit_pose
+from telewide.correction.robust import consensus_start, fit_robustly, numeric_jacobian
+from telewide.geometry.rectification import rectifying_rotation
+from telewide.geometry.rig import StereoRig
 
 FloatArray = NDArray[np.float64]
+
+MIN_MATCHES = 20
+"""Fewer matches than this carry no correction."""
+AT_ONCE_S = 0.1
+"""Exposures further apart than this were not taken at once."""
+LARGEST_RESIDUAL_PX = 0.5
+"""A median misfit of held-out matches above this says that wide stood elsewhere."""
+_HELD_OUT_SHARE = 0.3
+_OFFSET_PRIOR_PX = 40.0
+_ROLL_PRIOR_RAD = 0.01
+_SCALE_PRIOR = 0.01
+_TILT_PRIOR_RAD = 0.01
+_WORTH_A_PARAMETER = 0.98
+_WORTH_A_POSE = 0.85
+_AGREES_PX = 1.5
+_MIN_AGREEING_SHARE = 0.3
+_MIN_SHOTS = 3
+_NOT_AT_ONCE = "the two photos were not taken at once: wide's pose is this shot's own, and depth is relative"
+_LEFT_OVER = "this shot's correction leaves more than it should: the rig does not fit these photos, or the scene moved"
 
 
 def _no_turn() -> FloatArray:
@@ -82,22 +110,162 @@ def refined_rig(rig: StereoRig, refinement: ShotRefinement) -> StereoRig:
         The rig of this shot: wide's focal length and principal point, its rotation, and, where it was fitted, the
         direction of the translation. Tele and the length of the baseline stay; a turn moves no lens centre.
     """
-    turn = np.asarray(cv2.Rodrigues(refinement.rotation_vector.reshape(3, 1))[0], dtype=np.float64)
-    translation_m = turn @ rig.wide_from_tele[:3, 3]
-    if refinement.translation_direction is not None:
-        translation_m = rig.baseline_m * refinement.translation_direction
-    K = rig.wide.K.copy()
-    K[:2, :2] *= refinement.scale
-    K[:2, 2] -= refinement.vertical_offset_px / rig.asymmetry * across_in_wide(rig)
-    return replace(
+    moved = moved_rig(
         rig,
-        wide=replace(rig.wide, K=K),
-        wide_from_tele=rigid_transform(rotation=turn @ rig.wide_from_tele[:3, :3], translation=translation_m),
-        is_scale_known=rig.is_scale_known and refinement.is_at_once,
+        offset_px=refinement.vertical_offset_px,
+        scale=refinement.scale,
+        rotation_vector=refinement.rotation_vector,
+    )
+    transform = moved.wide_from_tele
+    if refinement.translation_direction is not None:
+        transform = transform.copy()
+        transform[:3, 3] = rig.baseline_m * refinement.translation_direction
+    return replace(moved, wide_from_tele=transform, is_scale_known=rig.is_scale_known and refinement.is_at_once)
+
+
+def fit_shot(
+    matches: Matches, *, rig: StereoRig, seconds_between: float | None = None, seed: int = 0
+) -> ShotRefinement:
+    """Fit what moved between the calibration and this shot.
+
+    A small model first: offset across the baseline, roll, focal scale; a turn about the baseline where held-out matches
+    gain by it. Where the photos were not taken at once, or it leaves more than 0.5 px on held-out matches, the pose of
+    wide, if that explains them clearly better.
+
+    Args:
+        matches: of the photos as captured, as :func:`telewide.correction.photo_matches.find_photo_matches` finds them.
+        rig: for photos of these sizes.
+        seconds_between: between the two exposures, as EXIF tells; None where it does not.
+        seed: seed of the split into matches to fit to and held-out ones.
+
+    Returns:
+        The correction, judged on held-out matches; none, and a note, where the matches are too few.
+    """
+    if len(matches) < MIN_MATCHES:
+        return _rig_kept(len(matches), is_at_once=not _is_late(seconds_between))
+    to_fit, held_out = split_matches(matches, held_out_share=_HELD_OUT_SHARE, seed=seed)
+    best = _small_model(to_fit, held_out, rig=rig, seed=seed)
+    after_px = _median_misfit_px(held_out, rig, best)
+    if _is_late(seconds_between) or after_px > LARGEST_RESIDUAL_PX:
+        best = _pose(to_fit, held_out, rig=rig, small=best, is_late=_is_late(seconds_between), seed=seed)
+        after_px = _median_misfit_px(held_out, rig, best)
+    n = _n_agreeing(matches, rig, best)
+    before_px = _median_misfit_px(held_out, rig, ShotRefinement())
+    if n < max(MIN_MATCHES, _MIN_AGREEING_SHARE * len(matches)):
+        kept = _rig_kept(n, is_at_once=best.is_at_once)
+        return replace(kept, residual_before_px=before_px, residual_after_px=before_px)
+    return replace(best, residual_before_px=before_px, residual_after_px=after_px, n_matches=n, is_fitted=True)
+
+
+def baseline_shift_std_px(refinements: Sequence[ShotRefinement]) -> float:
+    """Estimate how far the lens shifts along the baseline from shot to shot, which no match can show.
+
+    Stabilisation shifts a lens along and across the baseline alike: the root mean square of the offsets across it, what
+    the fit itself spreads by taken off. Spread about the rig, not about their mean, since the rig was calibrated with
+    lenses that moved as well.
+
+    Args:
+        refinements: of all shots of a set; those not fitted, and those of shots not taken at once, have no say.
+
+    Returns:
+        Standard deviation of the disparity's zero, tele px; NaN for fewer than three shots.
+    """
+    telling = [r for r in refinements if r.is_fitted and r.is_at_once]
+    if len(telling) < _MIN_SHOTS:
+        return float("nan")
+    squared = np.array([r.vertical_offset_px**2 - r.vertical_offset_std_px**2 for r in telling])
+    return float(np.sqrt(max(float(squared.mean()), 0.0)))
+
+
+def _small_model(to_fit: Matches, held_out: Matches, *, rig: StereoRig, seed: int) -> ShotRefinement:
+    """The smallest of the nested models that held-out matches do not gain from enlarging."""
+    best = _fit_small(to_fit, rig, n_parameters=3, seed=seed)
+    larger = _fit_small(to_fit, rig, n_parameters=4, seed=seed)
+    is_worth_it = _cost(held_out, rig, larger) < _WORTH_A_PARAMETER * _cost(held_out, rig, best)
+    return larger if is_worth_it else best
+
+
+def _fit_small(matches: Matches, rig: StereoRig, *, n_parameters: int, seed: int) -> ShotRefinement:
+    """Offset (px), roll (rad), log of the focal scale, turn about the baseline (rad): as many as asked for."""
+    unit_px = matching_unit_px(rig)
+    axes = rectifying_rotation(rig)  # a wide that turns about its lens centre does not move them
+    along = rig.wide_from_tele[:3, :3] @ axes[0]
+
+    def turn(x: FloatArray) -> FloatArray:
+        return np.array([0.0, 0.0, x[1]]) + (x[3] * along if len(x) > 3 else 0.0)
+
+    tele_y = turned_points(rig.tele.normalised(matches.ref_px), rotation=axes)[:, 1]
+
+    def misfit_px(x: FloatArray) -> FloatArray:
+        moved = moved_rig(rig, offset_px=x[0], scale=float(np.exp(x[2])), rotation_vector=turn(x))
+        wide = turned_points(moved.wide.normalised(matches.src_px), rotation=axes @ moved.wide_from_tele[:3, :3].T)
+        return np.asarray(rig.tele.f_px * (tele_y - wide[:, 1]))
+
+    prior_std = np.array([_OFFSET_PRIOR_PX * unit_px, _ROLL_PRIOR_RAD, _SCALE_PRIOR, _TILT_PRIOR_RAD])[:n_parameters]
+    jacobian = numeric_jacobian(misfit_px, np.zeros(n_parameters), step=1e-3 * prior_std)
+    start = consensus_start(
+        misfit_px(np.zeros(n_parameters)), jacobian, prior_std=prior_std, seed=seed, unit_px=unit_px
+    )
+    fit = fit_robustly(misfit_px, start, prior_std=prior_std, jacobian=lambda _x: jacobian, unit_px=unit_px)
+    tilt_std = fit.std[3] if n_parameters > 3 else 0.0
+    return ShotRefinement(
+        vertical_offset_px=float(fit.x[0]),
+        scale=float(np.exp(fit.x[2])),
+        rotation_vector=turn(fit.x),
+        vertical_offset_std_px=float(fit.std[0]),
+        scale_std=float(fit.std[2]),
+        rotation_std_rad=np.hypot(np.array([0.0, 0.0, fit.std[1]]), tilt_std * along),
     )
 
 
-def across_in_wide(rig: StereoRig) -> FloatArray:
-    """(2,) unit vector across the baseline, in the photo of wide."""
-    across = (rig.wide_from_tele[:3, :3] @ rectified_axes(rig)[1])[:2]
-    return np.asarray(across / np.linalg.norm(across))
+def _pose(
+    to_fit: Matches, held_out: Matches, *, rig: StereoRig, small: ShotRefinement, is_late: bool, seed: int
+) -> ShotRefinement:
+    """Wide's pose, or the small model where that explains the held-out matches as well."""
+    pose = fit_pose(to_fit, rig=rig, seed=seed)
+    posed = ShotRefinement(
+        scale=pose.scale,
+        rotation_vector=pose.rotation_vector,
+        translation_direction=pose.translation_direction,
+        vertical_offset_std_px=0.0,
+        scale_std=pose.scale_std,
+        rotation_std_rad=pose.rotation_std_rad,
+        direction_std_rad=pose.direction_std_rad,
+        is_at_once=False,
+        notes=(_NOT_AT_ONCE, *pose.notes),
+    )
+    is_better = pose.is_usable and _cost(held_out, rig, posed) < _WORTH_A_POSE * _cost(held_out, rig, small)
+    if is_better:
+        return posed
+    if is_late:
+        return replace(small, is_at_once=False, notes=(_NOT_AT_ONCE, *(() if pose.is_usable else pose.notes)))
+    left_px = _median_misfit_px(held_out, rig, small)
+    is_much = left_px > LARGEST_RESIDUAL_PX * matching_unit_px(rig)
+    return replace(small, notes=(_LEFT_OVER, *(() if pose.is_usable else pose.notes)) if is_much else ())
+
+
+def _rig_kept(n: int, *, is_at_once: bool) -> ShotRefinement:
+    note = f"{n} matches, fewer than this shot's own correction needs: the rig is kept as calibrated"
+    return ShotRefinement(n_matches=n, is_at_once=is_at_once, notes=(note, *(() if is_at_once else (_NOT_AT_ONCE,))))
+
+
+def _is_late(seconds_between: float | None) -> bool:
+    return seconds_between is not None and abs(seconds_between) > AT_ONCE_S
+
+
+def _misfit_px(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> FloatArray:
+    return vertical_misfit_px(matches.ref_px, matches.src_px, rig=refined_rig(rig, refinement))
+
+
+def _median_misfit_px(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> float:
+    return float(np.median(np.abs(_misfit_px(matches, rig, refinement))))
+
+
+def _n_agreeing(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> int:
+    return int((np.abs(_misfit_px(matches, rig, refinement)) <= _AGREES_PX * matching_unit_px(rig)).sum())
+
+
+def _cost(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> float:
+    """Mean of the misfits, none counting for more than a clear mismatch."""
+    limit_px = 2 * _AGREES_PX * matching_unit_px(rig)
+    return float(np.minimum(np.abs(_misfit_px(matches, rig, refinement)), limit_px).mean())
