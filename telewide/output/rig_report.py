@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.quality import Check
+from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.result import Calibration, CameraStd, ViewResult
 from telewide.capture.rundir import write_text
 from telewide.geometry.rig import Camera
@@ -43,6 +43,16 @@ FloatArray = NDArray[np.float64]
 
 _SCAN_LINES = 15
 _VIEW_WIDTH_PX = 720
+_CHECKS_OF = {
+    "Coverage": ("coverage", "frame"),
+    "Residuals": ("reprojection", "rms", "residual"),
+    "Photos": ("views", "left out", "photos"),
+    "Odd against even photos": ("cross", "odd"),
+    "Held-out epipolar error": ("epipolar",),
+    "Depth error": ("baseline",),
+    "How the board was held": ("tilt", "distance", "square"),
+}
+"""Sections of the page, and words in the names of the checks that judge what they show."""
 _VERDICTS = {
     "good": "Good: every check passed.",
     "usable": "Usable: it works, and the warnings below say what would make it better.",
@@ -97,15 +107,17 @@ def rig_report_html(
         section_html("Checks", _checks_html(quality.checks)),
         section_html("What next", _advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
         section_html("The rig", _rig_html(calibration)),
-        section_html("Coverage", coverage_figures(calibration), css_class="charts"),
-        section_html("Residuals", residual_figures(calibration), css_class="charts"),
-        section_html("Photos", view_figures(calibration), css_class="charts"),
+        section_html(_marked("Coverage", quality), coverage_figures(calibration), css_class="charts"),
+        section_html(_marked("Residuals", quality), residual_figures(calibration), css_class="charts"),
+        section_html(_marked("Photos", quality), view_figures(calibration), css_class="charts"),
         section_html("Left out", _left_out_html(calibration.views)),
-        section_html("Odd against even photos", cross_validation_figures(calibration), css_class="charts"),
-        section_html("Held-out epipolar error", epipolar_figure(quality), css_class="charts"),
-        section_html("Depth error", depth_figure(calibration)),
+        section_html(
+            _marked("Odd against even photos", quality), cross_validation_figures(calibration), css_class="charts"
+        ),
+        section_html(_marked("Held-out epipolar error", quality), epipolar_figure(quality), css_class="charts"),
+        section_html(_marked("Depth error", quality), depth_figure(calibration)),
         section_html("A rectified pair", _rectified_html(rectified)),
-        section_html("How the board was held", pose_figure(calibration.views), css_class="charts"),
+        section_html(_marked("How the board was held", quality), pose_figure(calibration.views), css_class="charts"),
         section_html("Made by", facts_html(facts)),
     ]
     return page_html("Calibration", sections, extra_style=CHART_STYLE + _STYLE)
@@ -128,6 +140,14 @@ def scan_lines_picture(tele: FloatMap, wide: FloatMap) -> FloatMap:
     rows = np.linspace(0, wh[1], _SCAN_LINES + 2)[1:-1].astype(int)
     picture[rows] = 0.1 * picture[rows] + 0.9 * np.array([1.0, 0.45, 0.1], dtype=np.float32)
     return picture.astype(np.float32)
+
+
+def _marked(heading: str, quality: CalibrationQuality) -> str:
+    """A heading with the worst outcome of the checks that judge what is below it."""
+    words = _CHECKS_OF[heading]
+    outcomes = {check.status for check in quality.checks if any(word in check.name for word in words)}
+    worst = next((status for status in ("fail", "warn", "pass") if status in outcomes), None)
+    return heading if worst is None else f'{heading} <span class="mark {worst}">{worst}</span>'
 
 
 def _summary(calibration: Calibration) -> str:

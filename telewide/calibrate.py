@@ -1,0 +1,248 @@
+"""Board photos in, a rig and a page about it out.
+
+    boards/ ── find ── which board ── corners of every photo ── solve ── rig.yaml + rig_report.html
+
+Whoever calls hears of the progress through a :class:`CalibrationObserver`. A rig that is not good enough is written
+too, marked so; it is for the caller to refuse it.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Protocol
+
+from telewide.calibration.boards import Board, board_points_m, load_board, resized_board
+from telewide.calibration.recognise import recognise_board
+from telewide.calibration.result import Calibration
+from telewide.calibration.rig_file import RigFacts, write_rig
+from telewide.calibration.shots import BoardShot, detect_shots, find_board_shots
+from telewide.calibration.solve import calibrate_rig
+from telewide.capture.exif import image_pipeline, pipeline_conflict, read_photo_facts
+from telewide.capture.images import read_image
+from telewide.correction.rectify import rectify_pair
+from telewide.errors import InputError, TelewideError
+from telewide.geometry.stereo import FloatMap
+from telewide.output.report import NextStep
+from telewide.output.rig_report import write_rig_report
+
+BOARDS_FOLDER = Path("boards")
+RIG_FILE = Path("rig.yaml")
+_PREVIEW_WIDTH_PX = 1000
+
+
+class CalibrationObserver(Protocol):
+    """Hears what a calibration does."""
+
+    def said(self, message: str) -> None:
+        """Something worth a line."""
+
+    def detecting(self, total: int) -> Callable[[], None]:
+        """The board is about to be looked for in ``total`` shots; the answer is called after each."""
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What ``telewide calibrate`` was asked for.
+
+    Attributes:
+        board: name or file of the board; None looks for the known ones.
+        square_m: measured side of a square, m; None takes the board's nominal one.
+        out: the file to write; the report lies beside it.
+        seed: of the choice of photos that are held out.
+        processes: how many to work with; None takes one per core.
+    """
+
+    board: str | None = None
+    square_m: float | None = None
+    out: Path = RIG_FILE
+    seed: int = 0
+    processes: int | None = None
+
+
+@dataclass(frozen=True)
+class CalibrationRun:
+    """A calibration and where it was written.
+
+    Attributes:
+        calibration: the rig and all that is known about it.
+        rig: path of ``rig.yaml``.
+        report: path of the page about it.
+        facts: how it was made.
+        notes: what a person should know, one sentence each.
+    """
+
+    calibration: Calibration
+    rig: Path
+    report: Path
+    facts: RigFacts
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _ChosenBoard:
+    name: str
+    board: Board
+    is_measured: bool
+    notes: tuple[str, ...]
+
+
+def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: CalibrationObserver) -> CalibrationRun:
+    """Calibrate two lenses from photos of a board, and write the rig and its report.
+
+    Args:
+        boards: folder of the photos, in one of the layouts of `telewide.calibration.shots`.
+        options: board, size, output.
+        observer: hears of it.
+
+    Returns:
+        The calibration, of any verdict, with the files written.
+
+    Raises:
+        UsageError: no such folder or board, or a size no board has.
+        InputError: no photo shows the board, or no rig explains the photos.
+    """
+    shots = find_board_shots(boards)
+    observer.said(f"{len(shots)} shots in {boards}")
+    pipeline = _image_pipeline(shots)
+    chosen = _chosen_board(shots, options, observer)
+    tick = observer.detecting(len(shots))
+    detected = detect_shots(shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes)
+    calibration = calibrate_rig(detected, board_points_m=board_points_m(chosen.board), seed=options.seed)
+    notes = (
+        *chosen.notes,
+        *(f"{shot.name}: {note}" for shot in detected for note in shot.notes),
+        *(f"left out: {v.shot}, {v.camera}: {v.reason}" for v in calibration.views if not v.is_used),
+    )
+    facts = RigFacts(
+        image_pipeline=pipeline,
+        focus_distance_m=_focus_distance_m(shots),
+        scale_verified=chosen.is_measured,
+        board=chosen.name,
+        notes=chosen.notes,
+    )
+    write_rig(options.out, calibration, facts=facts)
+    report = _write_report(boards, shots, calibration, chosen=chosen, options=options)
+    return CalibrationRun(calibration, options.out, report, facts, notes)
+
+
+def _image_pipeline(shots: Sequence[BoardShot]) -> str | None:
+    """The one way all photos were made, the most telling name of it; photos made in two ways have no rig in common."""
+    named: tuple[Path, str] | None = None
+    for path in _paths(shots):
+        try:
+            found = image_pipeline(path)
+        except InputError:  # no photo: the detection says so, and goes on with the others
+            continue
+        conflict = pipeline_conflict(named[1], found) if named is not None else None
+        if named is not None and conflict is not None:
+            raise InputError(
+                f"{named[0]} and {path} were not made in the same way ({named[1]}, {found}); no rig holds for both",
+                hint="keep photos of one phone and of one kind, RAW or not, in the folder",
+            )
+        if named is None or named[1].endswith(":unknown"):
+            named = path, found
+    return named[1] if named is not None else None
+
+
+def _focus_distance_m(shots: Sequence[BoardShot]) -> float | None:
+    """Where the tele lens was focused in the joint shots, by its photos; None where they do not say."""
+    stated = []
+    for shot in shots:
+        if shot.tele_path is not None and shot.wide_path is not None:
+            with suppress(InputError):
+                stated.append(read_photo_facts(shot.tele_path).subject_distance_m)
+    known = [distance_m for distance_m in stated if distance_m is not None and math.isfinite(distance_m)]
+    return statistics.median(known) if known else None
+
+
+def _paths(shots: Sequence[BoardShot]) -> list[Path]:
+    return [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
+
+
+def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observer: CalibrationObserver) -> _ChosenBoard:
+    others: tuple[str, ...] = ()
+    if options.board is not None:
+        name, board = options.board, load_board(options.board)
+    else:
+        recognised = recognise_board(shots)
+        name, board, others = recognised.name, recognised.board, recognised.same_pattern
+        observer.said(f"the photos show the board {name}")
+    if options.square_m is not None:
+        return _ChosenBoard(name, resized_board(board, square_m=options.square_m), True, ())
+    also = "".join(f"; {other} looks the same with {load_board(other).square_m * 1e3:g} mm" for other in others)
+    note = (
+        f"the squares are taken as {board.square_m * 1e3:g} mm, the nominal size of {name}{also}: metres are only as "
+        "true as that; measure a square of your print and give --square-m"
+    )
+    return _ChosenBoard(name, board, False, (note,))
+
+
+def _write_report(
+    boards: Path,
+    shots: Sequence[BoardShot],
+    calibration: Calibration,
+    *,
+    chosen: _ChosenBoard,
+    options: CalibrateOptions,
+) -> Path:
+    path = options.out.with_name(f"{options.out.stem}_report.html")
+    square = "measured" if chosen.is_measured else "nominal, not measured"
+    facts = {
+        "board": f"{chosen.name}, squares of {chosen.board.square_m * 1e3:g} mm ({square})",
+        "photos": str(boards),
+        "rig": options.out.name,
+        "telewide": metadata.version("telewide"),
+    }
+    rectified = _rectified_shot(shots, calibration)
+    steps = _next_steps(boards, calibration, is_measured=chosen.is_measured)
+    return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
+
+
+def _next_steps(boards: Path, calibration: Calibration, *, is_measured: bool) -> tuple[NextStep, ...]:
+    again = f"telewide calibrate {boards}"
+    steps = []
+    if calibration.quality.verdict != "good":
+        steps.append(NextStep("Add such photos to the folder and calibrate again:", again))
+    if not is_measured:
+        steps.append(
+            NextStep(
+                "Measure ten squares of your print with a ruler and give a tenth, in metres:", f"{again} --square-m M"
+            )
+        )
+    if calibration.quality.verdict != "insufficient":
+        steps.append(NextStep("Train on captures taken with the same lenses:", "telewide train captures/"))
+    return tuple(steps)
+
+
+def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> tuple[str, FloatMap, FloatMap] | None:
+    """The joint shot whose board is at the middle distance, rectified; None where there is none."""
+    used = {(view.shot, view.camera): view for view in calibration.views if view.is_used}
+    by_name = {shot.name: shot for shot in shots}
+    joint = [name for name, lens in used if lens == "tele" and (name, "wide") in used and name in by_name]
+    if not joint:
+        return None
+    far_first = sorted(joint, key=lambda name: -_finite(used[name, "tele"].distance_m))
+    shot = by_name[far_first[len(far_first) // 2]]
+    if shot.tele_path is None or shot.wide_path is None:
+        return None
+    try:
+        rectified = rectify_pair(
+            read_image(shot.tele_path),
+            read_image(shot.wide_path),
+            rig=calibration.rig,
+            name=shot.name,
+            working_width_px=_PREVIEW_WIDTH_PX,
+        )
+    except TelewideError:  # an insufficient rig may be one that cannot be rectified; its report is needed all the more
+        return None
+    return shot.name, rectified.pair.tele, rectified.pair.wide
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 0.0

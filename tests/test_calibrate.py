@@ -1,0 +1,214 @@
+"""From photos of a board to rig.yaml and its page: the rig is the one the photos were drawn with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from photographed_boards import drawn_rig, write_board_photos
+from PIL import Image
+
+from telewide.calibrate import CalibrateOptions, CalibrationRun, calibrate_boards
+from telewide.calibration.rig_file import read_rig
+from telewide.capture.images import read_image, write_image
+from telewide.cli import main
+from telewide.errors import InputError, UsageError
+
+N_SHOTS = 12
+BOARD = "chessboard_9x6"
+
+
+class Listener:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.announced = 0
+        self.done = 0
+
+    def said(self, message: str) -> None:
+        self.lines.append(message)
+
+    def detecting(self, total: int) -> Callable[[], None]:
+        self.announced = total
+        return self._advance
+
+    def _advance(self) -> None:
+        self.done += 1
+
+
+def run_cli(*words: str) -> int:
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    return int(left.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve shots of a board with both lenses."""
+    return write_board_photos(tmp_path_factory.mktemp("photos") / "boards", count=N_SHOTS)
+
+
+@pytest.fixture(scope="module")
+def heard() -> Listener:
+    return Listener()
+
+
+@pytest.fixture(scope="module")
+def done(boards: Path, heard: Listener) -> CalibrationRun:
+    """The board is not named, the square is measured."""
+    options = CalibrateOptions(square_m=0.025, out=boards.parent / "out" / "rig.yaml", processes=1)
+    return calibrate_boards(boards, options=options, observer=heard)
+
+
+def first_shots(boards: Path, folder: Path, *, count: int) -> Path:
+    for shot in sorted(boards.iterdir())[:count]:
+        shutil.copytree(shot, folder / shot.name)
+    return folder
+
+
+def test_the_rig_is_the_one_that_took_the_photos(done: CalibrationRun) -> None:
+    truth, rig = drawn_rig(), done.calibration.rig
+    assert rig.tele.hw == truth.tele.hw
+    assert rig.wide.hw == truth.wide.hw
+    assert rig.asymmetry == pytest.approx(truth.asymmetry, rel=0.005)
+    assert rig.baseline_m == pytest.approx(truth.baseline_m, rel=0.05)
+    assert done.calibration.quality.tele_rms_px < 0.1
+    assert done.calibration.quality.verdict in ("good", "usable")
+
+
+def test_the_file_holds_the_rig_and_how_it_was_made(done: CalibrationRun) -> None:
+    stored = read_rig(done.rig)
+    np.testing.assert_array_equal(stored.rig.wide_from_tele, done.calibration.rig.wide_from_tele)
+    assert stored.facts.board in (BOARD, f"{BOARD}_a3")  # the same pattern in two sizes
+    assert stored.facts.scale_verified
+    assert stored.facts.image_pipeline == "png:unknown"
+    assert stored.quality.verdict == done.calibration.quality.verdict
+
+
+def test_the_page_shows_every_shot_and_a_rectified_pair(done: CalibrationRun) -> None:
+    text = done.report.read_text(encoding="utf-8")
+    assert done.report == done.rig.with_name("rig_report.html")
+    assert all(text.count(f">shot_{number:02d}<") >= 2 for number in range(N_SHOTS))
+    for heading in ("Coverage", "Residuals", "Odd against even photos", "Held-out epipolar error", "A rectified pair"):
+        assert f"<h2>{heading}" in text
+    assert "http" not in text
+
+
+def test_progress_is_told_shot_by_shot(done: CalibrationRun, heard: Listener) -> None:
+    assert (heard.announced, heard.done) == (N_SHOTS, N_SHOTS)
+    assert any(BOARD in line for line in heard.lines)
+
+
+def test_without_a_measured_square_metres_are_nominal_and_said_to_be(boards: Path, tmp_path: Path) -> None:
+    few = first_shots(boards, tmp_path / "boards", count=8)
+    options = CalibrateOptions(board=BOARD, out=tmp_path / "rig.yaml", processes=1)
+    run = calibrate_boards(few, options=options, observer=Listener())
+    assert not run.facts.scale_verified
+    assert any("25 mm" in note and "--square-m" in note for note in run.notes)
+    double = CalibrateOptions(board=BOARD, square_m=0.05, out=tmp_path / "double.yaml", processes=1)
+    twice = calibrate_boards(few, options=double, observer=Listener()).calibration.rig
+    assert twice.baseline_m == pytest.approx(2 * run.calibration.rig.baseline_m, rel=1e-3)
+
+
+def test_photos_made_in_two_ways_have_no_rig_in_common(boards: Path, tmp_path: Path) -> None:
+    few = first_shots(boards, tmp_path / "boards", count=3)
+    for name, model in (("shot_00", "One"), ("shot_02", "Two")):
+        path = few / name / "tele.png"
+        exif = Image.Exif()
+        exif[271], exif[272] = "Maker", model
+        Image.fromarray((read_image(path) * 255).astype(np.uint8)).save(path, exif=exif)
+    with pytest.raises(InputError, match=r"Maker One.*Maker Two"):
+        calibrate_boards(few, options=CalibrateOptions(out=tmp_path / "rig.yaml"), observer=Listener())
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+def test_millimetres_are_refused(boards: Path, tmp_path: Path) -> None:
+    options = CalibrateOptions(board=BOARD, square_m=25.0, out=tmp_path / "rig.yaml")
+    with pytest.raises(UsageError, match="25"):
+        calibrate_boards(boards, options=options, observer=Listener())
+
+
+# The command line
+
+
+def test_a_missing_folder_is_a_wrong_call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_cli("calibrate") == 2
+    assert "boards" in capsys.readouterr().err
+    assert run_cli("calibrate", "nowhere") == 2
+    assert run_cli("show") == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_photos_without_a_board_are_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("tele", "wide"):
+        write_image(tmp_path / "boards" / "one" / f"{name}.png", rng.random((120, 160, 3)).astype(np.float32))
+    assert run_cli("calibrate") == 3
+    told = capsys.readouterr().err
+    assert BOARD in told  # the known boards are named
+    assert "--board" in told
+    assert run_cli("calibrate", "--board", BOARD) == 3
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+def test_too_few_photos_are_written_and_refused(
+    boards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    first_shots(boards, tmp_path / "boards", count=4)
+    assert run_cli("calibrate", "--board", BOARD, "--json") == 4
+    told = capsys.readouterr()
+    answer = json.loads(told.out)
+    assert (answer["verdict"], answer["exit_code"]) == ("insufficient", 4)
+    assert answer["hint"]
+    assert "Traceback" not in told.err
+    assert read_rig(tmp_path / "rig.yaml").quality.verdict == "insufficient"
+    assert "Not good enough" in (tmp_path / "rig_report.html").read_text(encoding="utf-8")
+    assert run_cli("calibrate", "--board", BOARD) == 4
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "error: rig.yaml was written" in told.err
+
+
+def test_show_says_the_numbers_and_json_is_the_file(done: CalibrationRun, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("show", str(done.rig)) == 0
+    told = capsys.readouterr().out
+    rig = done.calibration.rig
+    for words in (f"{rig.tele.f_px:.1f}", f"{rig.wide.f_px:.1f}", f"{rig.baseline_m * 1e3:.2f}", "640 x 480", BOARD):
+        assert words in told
+    assert run_cli("show", str(done.rig), "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["format"] == 1
+
+
+def test_a_file_that_is_no_rig_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "rig.yaml").write_text("format: 1\nhello: world\n", encoding="utf-8")
+    assert run_cli("show", str(tmp_path / "rig.yaml")) == 3
+    assert "rig.yaml" in capsys.readouterr().err
+    assert run_cli("calibrate", str(tmp_path), "--out", str(tmp_path / "rig.json")) == 2
+
+
+@pytest.mark.slow
+def test_a_photographed_set(data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for lens, side in (("tele", "left"), ("wide", "right")):
+        (tmp_path / "boards" / lens).mkdir(parents=True)
+        for path in sorted((data_root / "calib_stereo_opencv").glob(f"{side}*.jpg")):
+            shutil.copy(path, tmp_path / "boards" / lens / path.name.removeprefix(side))
+    monkeypatch.chdir(tmp_path)
+    assert run_cli("calibrate", "--square-m", "0.025", "--quiet") == 0
+    stored = read_rig(tmp_path / "rig.yaml")
+    assert stored.rig.baseline_m / 0.025 == pytest.approx(3.33, rel=0.005)
+    assert stored.quality.tele_rms_px < 0.22
+    assert stored.quality.wide_rms_px < 0.22
+    assert stored.left_out == ()
+    assert (tmp_path / "rig_report.html").stat().st_size < 2_000_000
