@@ -44,13 +44,14 @@ FloatArray = NDArray[np.float64]
 _SCAN_LINES = 15
 _VIEW_WIDTH_PX = 720
 _CHECKS_OF = {
-    "Coverage": ("coverage", "frame"),
-    "Residuals": ("reprojection", "rms", "residual"),
-    "Photos": ("views", "left out", "photos"),
-    "Odd against even photos": ("cross", "odd"),
+    "The rig": ("focal length",),
+    "Coverage": ("coverage",),
+    "Residuals": ("reprojection", "independent"),
+    "Photos": ("views",),
+    "Odd against even photos": ("odd/even",),
     "Held-out epipolar error": ("epipolar",),
     "Depth error": ("baseline",),
-    "How the board was held": ("tilt", "distance", "square"),
+    "How the board was held": ("tilt", "distances", "square"),
 }
 """Sections of the page, and words in the names of the checks that judge what they show."""
 _VERDICTS = {
@@ -106,7 +107,7 @@ def rig_report_html(
         f'<p class="verdict {quality.verdict}">{_VERDICTS[quality.verdict]}<br>{_summary(calibration)}</p>',
         section_html("Checks", _checks_html(quality.checks)),
         section_html("What next", _advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
-        section_html("The rig", _rig_html(calibration)),
+        section_html(_marked("The rig", quality), _rig_html(calibration)),
         section_html(_marked("Coverage", quality), coverage_figures(calibration), css_class="charts"),
         section_html(_marked("Residuals", quality), residual_figures(calibration), css_class="charts"),
         section_html(_marked("Photos", quality), view_figures(calibration), css_class="charts"),
