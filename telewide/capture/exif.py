@@ -74,6 +74,11 @@ class PhotoFacts:
         return both.strip() or make or "unknown"
 
     @property
+    def pipeline(self) -> str:
+        """See `image_pipeline`."""
+        return f"{self.kind}:{self.camera}"
+
+    @property
     def crop_35(self) -> float | None:
         """``f35 / f``: constant for a lens, larger where the photo is a digital crop."""
         return self.f35_mm / self.focal_length_mm if self.f35_mm and self.focal_length_mm else None
@@ -120,8 +125,7 @@ def image_pipeline(path: Path) -> str:
         UsageError: there is no such file.
         InputError: no photo.
     """
-    facts = read_photo_facts(path)
-    return f"{facts.kind}:{facts.camera}"
+    return read_photo_facts(path).pipeline
 
 
 def pipeline_conflict(calibrated: str, found: str) -> str | None:

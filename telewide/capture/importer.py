@@ -1,0 +1,243 @@
+"""From a phone's camera roll to a folder of captures.
+
+    CAPTURES/<name>/tele.<suffix>  wide.<suffix>   the photos, byte for byte
+    CAPTURES/<name>/pair.json                      where they came from and what they state
+
+<name> is that of the tele photo. A folder appears whole or not at all. What pair.json names is not imported again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import shutil
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from telewide.capture.exif import PhotoFacts, read_photo_facts
+from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
+from telewide.capture.pairing import LensChoice, RollPair, RollPhoto, Unpaired, pair_photos
+from telewide.capture.rundir import replacing, write_text
+from telewide.errors import InputError, TelewideError, UsageError
+
+FORMAT = 1
+PAIR_FILE = "pair.json"
+# Pixel phones: PXL_1.RAW-01.COVER.jpg is the twin of PXL_1.RAW-02.ORIGINAL.dng.
+_TWIN_MARK = re.compile(r"\.RAW-\d+.*$", re.IGNORECASE)
+
+# Name of a file, its bytes: what tells a photo that was imported already.
+_SourceKey = tuple[str, int]
+Tick = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class PlannedPair:
+    """A pair to be imported.
+
+    Attributes:
+        name: of its folder.
+        pair: the photos.
+    """
+
+    name: str
+    pair: RollPair
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """What an import would do.
+
+    Attributes:
+        pairs: to be imported.
+        unpaired: photos left where they are, and why.
+        known: names of captures there already whose photos are in the roll.
+    """
+
+    pairs: tuple[PlannedPair, ...]
+    unpaired: tuple[Unpaired, ...]
+    known: tuple[str, ...]
+
+
+def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | None = None) -> ImportPlan:
+    """Look through a camera roll for pairs; nothing is written.
+
+    Args:
+        dcim: the camera roll, with any folders in it.
+        captures: where captures are or will be.
+        choice: which lenses, and how far apart in time.
+        tick: called with how many of how many photos have been looked at.
+
+    Returns:
+        What to import, and why the rest stays.
+
+    Raises:
+        UsageError: there is no such folder, or both are one.
+        InputError: there are no photos in it.
+    """
+    photos, unread = _read_roll(_photo_files(dcim, captures), tick)
+    imported = _imported(captures)
+    known = {name for photo in photos for key in _keys(photo) if (name := imported.get(key))}
+    fresh = [photo for photo in photos if not any(key in imported for key in _keys(photo))]
+    pairs, left = pair_photos(fresh, choice=choice)
+    taken = {entry.name.casefold() for entry in captures.iterdir()} if captures.is_dir() else set()
+    planned = tuple(PlannedPair(_free_name(pair.tele.path, taken), pair) for pair in pairs)
+    unpaired = sorted([*left, *unread], key=lambda one: one.photo.path)
+    return ImportPlan(planned, tuple(unpaired), tuple(sorted(known)))
+
+
+def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick: Tick | None = None) -> None:
+    """Copy the photos of a plan into capture folders, each of which appears whole or not at all.
+
+    Args:
+        plan: from `plan_import`.
+        captures: created where it does not exist.
+        is_linked: make hard links, which take no space, where the file system can.
+        tick: called with how many of how many pairs are there.
+
+    Raises:
+        UsageError: the place cannot be written.
+        InputError: a photo cannot be read.
+    """
+    for done, planned in enumerate(plan.pairs, start=1):
+        partial = captures / f".{planned.name}.partial"
+        shutil.rmtree(partial, ignore_errors=True)
+        try:
+            entries = {
+                view: _bring(photo, partial, view, is_linked=is_linked)
+                for view, photo in (("tele", planned.pair.tele), ("wide", planned.pair.wide))
+            }
+            write_text(partial / PAIR_FILE, _record(planned, entries))
+            partial.rename(captures / planned.name)
+        except OSError as error:
+            raise UsageError(f"{captures / planned.name} cannot be written: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+        if tick is not None:
+            tick(done, len(plan.pairs))
+
+
+def _photo_files(dcim: Path, captures: Path) -> list[Path]:
+    """Return the photos below a folder, without those in the capture folder and without hidden ones."""
+    if not dcim.exists():
+        raise UsageError(f"{dcim} does not exist; the folder with the phone's photos was expected")
+    if not dcim.is_dir():
+        raise UsageError(f"{dcim} is a file; the folder with the phone's photos was expected")
+    if captures.exists() and not captures.is_dir():
+        raise UsageError(f"{captures} is a file; a folder for the captures was expected")
+    if dcim.resolve() == captures.resolve():
+        raise UsageError(f"{dcim} is both where photos come from and where captures go", hint="name two folders")
+    files = []
+    for folder, below, names in os.walk(dcim):
+        own = captures.resolve()
+        below[:] = sorted(n for n in below if not n.startswith(".") and (Path(folder) / n).resolve() != own)
+        files += [Path(folder) / name for name in sorted(names) if _is_photo_name(name)]
+    if not files:
+        raise InputError(f"{dcim} holds no photos", hint="name the folder of the camera roll, often called DCIM")
+    return files
+
+
+def _is_photo_name(name: str) -> bool:
+    return not name.startswith(".") and Path(name).suffix.lower() in PHOTO_SUFFIXES
+
+
+def _read_roll(files: Sequence[Path], tick: Tick | None) -> tuple[list[RollPhoto], list[Unpaired]]:
+    """Read what all photos state, and put RAW and twin together."""
+    photos, unread = [], []
+    for done, path in enumerate(files, start=1):
+        try:
+            photos.append(RollPhoto(path, read_photo_facts(path)))
+        except TelewideError as error:
+            reason = error.message.removeprefix(f"{path} ")
+            told = f"{reason} ({error.hint})" if error.hint else reason
+            unread.append(Unpaired(RollPhoto(path, PhotoFacts("unknown")), told))
+        if tick is not None:
+            tick(done, len(files))
+    return list(_joined_twins(photos)), unread
+
+
+def _joined_twins(photos: Iterable[RollPhoto]) -> Iterator[RollPhoto]:
+    by_stem: dict[tuple[Path, str], list[RollPhoto]] = defaultdict(list)
+    for photo in photos:
+        by_stem[photo.path.parent, _TWIN_MARK.sub("", photo.path.stem).casefold()].append(photo)
+    for group in by_stem.values():
+        raws = [photo for photo in group if photo.path.suffix.lower() in RAW_SUFFIXES]
+        others = [photo for photo in group if photo not in raws]
+        if len(raws) == 1 and len(others) == 1:
+            raw, twin = raws[0], others[0]
+            yield RollPhoto(raw.path, _completed(raw.facts, twin.facts), twin)
+        else:
+            yield from group
+
+
+def _completed(facts: PhotoFacts, other: PhotoFacts) -> PhotoFacts:
+    """Fill in from the twin what a RAW leaves out; names of the camera come from one of the two."""
+    names = ("focal_length_mm", "f35_mm", "taken", "digital_zoom_ratio", "subject_distance_m")
+    missing = [name for name in names if getattr(facts, name) is None]
+    if facts.make is None or facts.model is None:
+        missing += ["make", "model"]
+    return dataclasses.replace(facts, **{name: getattr(other, name) for name in missing})
+
+
+def _keys(photo: RollPhoto) -> list[_SourceKey]:
+    both = (photo, photo.twin) if photo.twin else (photo,)
+    return [(one.path.name, one.path.stat().st_size) for one in both]
+
+
+def _imported(captures: Path) -> dict[_SourceKey, str]:
+    """Return the photos that lie in capture folders already, by where they came from."""
+    found: dict[_SourceKey, str] = {}
+    for path in sorted(captures.glob(f"*/{PAIR_FILE}")):
+        try:
+            record = json.loads(path.read_text(encoding="utf-8"))
+            for view in ("tele", "wide"):
+                found[str(record[view]["source"]), int(record[view]["bytes"])] = path.parent.name
+        except (OSError, ValueError, KeyError, TypeError):  # not of this kind: its photos come again
+            continue
+    return found
+
+
+def _free_name(tele: Path, taken: set[str]) -> str:
+    stem = _TWIN_MARK.sub("", tele.stem)
+    name, number = stem, 2
+    while name.casefold() in taken:
+        name, number = f"{stem}-{number}", number + 1
+    taken.add(name.casefold())
+    return name
+
+
+def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> dict[str, object]:
+    """Bring one photo into a folder and return its record."""
+    source, name = photo.path, f"{view}{photo.path.suffix.lower()}"
+    if not os.access(source, os.R_OK):
+        raise InputError(f"{source} cannot be read")
+    with replacing(folder / name) as temporary:
+        if not (is_linked and _has_linked(source, temporary)):
+            shutil.copy2(source, temporary)
+    facts = photo.facts
+    return {
+        "file": name,
+        "source": source.name,
+        "bytes": source.stat().st_size,
+        "taken": facts.taken.isoformat() if facts.taken else None,
+        "image_pipeline": facts.pipeline,
+        "focal_length_mm": facts.focal_length_mm,
+        "f35_mm": facts.f35_mm,
+        "hw": facts.hw,
+    }
+
+
+def _has_linked(source: Path, link: Path) -> bool:
+    try:
+        os.link(source, link)
+    except OSError:  # another file system, or one without links
+        return False
+    return True
+
+
+def _record(planned: PlannedPair, entries: dict[str, dict[str, object]]) -> str:
+    record = {"format": FORMAT, "seconds_apart": round(planned.pair.seconds_apart, 3), **entries}
+    return json.dumps(record, indent=2, ensure_ascii=False) + "\n"

@@ -1,0 +1,179 @@
+"""Which lens took a photo, and whether a photo from "tele" is only an enlarged piece of wide.
+
+Phones answer "2x" with a crop of the wide lens where tele cannot focus or it is dark. Its FocalLength gives it away,
+and its 35 mm equivalent: for one lens f35 / f is constant, and a digital crop raises it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from telewide.capture.exif import PhotoFacts, read_photo_facts
+from telewide.capture.layout import Capture, Problem
+from telewide.errors import TelewideError
+
+# Whole millimetres of f35 at 13 mm, and 4:3 against 16:9 of one sensor, stay below; the mildest crop offered is 1.16.
+_CROP_TOLERANCE = 1.12
+_ZOOM_TOLERANCE = 1.05
+_SAME_FOCAL = 0.02
+
+
+@dataclass(frozen=True)
+class Lens:
+    """One lens of one phone model.
+
+    Attributes:
+        camera: make and model.
+        focal_length_mm: physical, the smallest that its photos state.
+        crop_35: ``f35 / f`` without digital crop; None where no photo states f35.
+    """
+
+    camera: str
+    focal_length_mm: float
+    crop_35: float | None
+
+    @property
+    def f35_mm(self) -> float | None:
+        """Focal length of equal field of view on 36 x 24 mm."""
+        return None if self.crop_35 is None else self.crop_35 * self.focal_length_mm
+
+
+def find_lenses(photos: Iterable[PhotoFacts]) -> tuple[Lens, ...]:
+    """Tell the lenses that took a set of photos apart.
+
+    Args:
+        photos: of any cameras; those without FocalLength are passed over.
+
+    Returns:
+        The lenses, by camera and then by field of view, widest first.
+    """
+    by_camera: dict[str, list[PhotoFacts]] = defaultdict(list)
+    for photo in photos:
+        if photo.focal_length_mm:
+            by_camera[photo.camera].append(photo)
+    lenses = [_lens(camera, group) for camera in sorted(by_camera) for group in _focal_groups(by_camera[camera])]
+    return tuple(sorted(lenses, key=lambda lens: (lens.camera, lens.f35_mm or 0.0, lens.focal_length_mm)))
+
+
+def lens_of(photo: PhotoFacts, lenses: Sequence[Lens]) -> Lens | None:
+    """Return the lens that took a photo, by camera and FocalLength.
+
+    Args:
+        photo: what it states.
+        lenses: from `find_lenses`.
+    """
+    candidates = [lens for lens in lenses if lens.camera == photo.camera]
+    if not candidates or photo.focal_length_mm is None:
+        return None
+    focal_length_mm = photo.focal_length_mm
+    nearest = min(candidates, key=lambda lens: abs(lens.focal_length_mm - focal_length_mm))
+    return nearest if _is_same_focal(nearest.focal_length_mm, focal_length_mm) else None
+
+
+def why_cropped(photo: PhotoFacts, lens: Lens | None) -> str | None:
+    """Tell why a photo is a digital crop.
+
+    Args:
+        photo: what it states.
+        lens: its lens, from a set of photos of which one at least is uncropped.
+
+    Returns:
+        The reason, or None where nothing speaks for it.
+    """
+    if photo.digital_zoom_ratio is not None and photo.digital_zoom_ratio > _ZOOM_TOLERANCE:
+        return f"a digital crop: DigitalZoomRatio is {photo.digital_zoom_ratio:.2f}"
+    if lens is None or lens.crop_35 is None or photo.crop_35 is None or lens.f35_mm is None:
+        return None
+    if photo.crop_35 > lens.crop_35 * _CROP_TOLERANCE:
+        return (
+            f"a digital crop of the {photo.focal_length_mm:g} mm lens: {photo.f35_mm:g} mm equivalent, "
+            f"where other photos of it have {lens.f35_mm:.0f}"
+        )
+    return None
+
+
+def check_lenses(captures: Sequence[Capture]) -> tuple[Problem, ...]:
+    """Find captures whose photos do not come from two lenses of one phone, by their EXIF.
+
+    Args:
+        captures: all of a set: a lens is known by its other photos.
+
+    Returns:
+        What is wrong, by capture: a digital crop is left out (``is_skipped``), different cameras and one lens for both
+        are said only. Photos without EXIF raise no problem.
+    """
+    facts = {path: _facts(path) for capture in captures for path in (capture.tele_path, capture.wide_path)}
+    lenses = find_lenses(facts.values())
+    return tuple(problem for capture in captures for problem in _check_capture(capture, facts, lenses))
+
+
+def _check_capture(capture: Capture, facts: Mapping[Path, PhotoFacts], lenses: Sequence[Lens]) -> Iterable[Problem]:
+    tele, wide = facts[capture.tele_path], facts[capture.wide_path]
+    if fake := _why_fake(tele, wide):
+        yield Problem(capture.name, f"{capture.tele_path} is no tele photo but {fake}")
+        return
+    for path, photo in ((capture.tele_path, tele), (capture.wide_path, wide)):
+        if reason := why_cropped(photo, lens_of(photo, lenses)):
+            yield Problem(capture.name, f"{path} is {reason}; photograph without digital zoom")
+            return
+    if doubt := _doubt(tele, wide):
+        yield Problem(capture.name, f"{capture.tele_path} and {capture.wide_path} {doubt}", is_skipped=False)
+
+
+def _why_fake(tele: PhotoFacts, wide: PhotoFacts) -> str | None:
+    """Tell why a tele photo is a crop of the lens that took the wide one."""
+    if not _is_one_lens(tele, wide) or tele.crop_35 is None or wide.crop_35 is None:
+        return None
+    if tele.crop_35 <= wide.crop_35 * _CROP_TOLERANCE:
+        return None
+    return (
+        f"a digital crop of the wide lens: both state {tele.focal_length_mm:g} mm, with {tele.f35_mm:g} and "
+        f"{wide.f35_mm:g} mm equivalent; step back or give more light, so that the phone uses its tele lens"
+    )
+
+
+def _doubt(tele: PhotoFacts, wide: PhotoFacts) -> str | None:
+    if "unknown" not in (tele.camera, wide.camera) and tele.camera != wide.camera:
+        return f"were taken with different cameras: {tele.camera}, {wide.camera}"
+    if _is_one_lens(tele, wide):
+        return f"both state a focal length of {tele.focal_length_mm:g} mm: are they from two lenses?"
+    if (tele.kind == "raw") != (wide.kind == "raw"):
+        return "are a RAW and a processed photo, whose lens distortion differs"
+    return None
+
+
+def _is_one_lens(first: PhotoFacts, second: PhotoFacts) -> bool:
+    if first.focal_length_mm is None or second.focal_length_mm is None or first.camera != second.camera:
+        return False
+    return _is_same_focal(first.focal_length_mm, second.focal_length_mm)
+
+
+def _is_same_focal(first_mm: float, second_mm: float) -> bool:
+    return abs(first_mm - second_mm) <= _SAME_FOCAL * max(first_mm, second_mm)
+
+
+def _focal_groups(photos: Sequence[PhotoFacts]) -> list[list[PhotoFacts]]:
+    """Split the photos of one camera where the focal length jumps."""
+    groups: list[list[PhotoFacts]] = []
+    for photo in sorted(photos, key=lambda photo: photo.focal_length_mm or 0.0):
+        last_mm = groups[-1][-1].focal_length_mm if groups else None
+        if last_mm is not None and _is_same_focal(last_mm, photo.focal_length_mm or 0.0):
+            groups[-1].append(photo)
+        else:
+            groups.append([photo])
+    return groups
+
+
+def _lens(camera: str, photos: Sequence[PhotoFacts]) -> Lens:
+    crops = [photo.crop_35 for photo in photos if photo.crop_35 is not None]
+    return Lens(camera, photos[0].focal_length_mm or 0.0, min(crops, default=None))
+
+
+def _facts(path: Path) -> PhotoFacts:
+    try:
+        return read_photo_facts(path)
+    except TelewideError:  # reading the photo says so in its own words
+        return PhotoFacts("unknown")

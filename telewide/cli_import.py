@@ -1,0 +1,182 @@
+"""``telewide import``: from a phone's camera roll to a folder of captures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from telewide.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from telewide.capture.exif import PhotoFacts
+    from telewide.capture.importer import ImportPlan
+
+IMPORT_EPILOG = "Example: `telewide import /media/phone/DCIM captures/ --dry-run`"
+_TABLE_WIDTH = 200
+_MAX_LISTED = 5
+_Tick = Callable[[int, int], None]
+
+
+def import_photos(
+    dcim: Annotated[Path, typer.Argument(metavar="DCIM", help="Folder of the phone's photos, with folders in it.")],
+    captures: Annotated[Path, typer.Argument(help="Folder to put captures into.")] = Path("captures"),
+    *,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be done, and write nothing.")] = False,
+    max_seconds: Annotated[float, typer.Option(help="Photos farther apart in time are no pair.")] = 10.0,
+    tele_mm: Annotated[
+        float | None, typer.Option(help="FocalLength of the tele lens. [default: as the photos tell]")
+    ] = None,
+    wide_mm: Annotated[
+        float | None, typer.Option(help="FocalLength of the wide lens. [default: as the photos tell]")
+    ] = None,
+    link: Annotated[bool, typer.Option("--link", help="Hard links instead of copies, where possible.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")] = False,
+) -> None:
+    """Pair the photos of a camera roll by phone, lens and time; a second call adds what is new."""
+    from telewide.capture.importer import carry_out, plan_import
+    from telewide.capture.pairing import LensChoice
+
+    for name, value in (("--max-seconds", max_seconds), ("--tele-mm", tele_mm), ("--wide-mm", wide_mm)):
+        if value is not None and not value > 0:
+            raise UsageError(f"{name} {value:g}: a number above 0 was expected")
+    choice = LensChoice(tele_mm=tele_mm, wide_mm=wide_mm, max_seconds=max_seconds)
+    with _progress("looking at photos", is_quiet=quiet) as tick:
+        plan = plan_import(dcim, captures, choice=choice, tick=tick)
+    if not quiet and not as_json:
+        _show(plan)
+    if not plan.pairs and not plan.known:
+        raise _no_pair(dcim, plan, is_shown=not quiet and not as_json)
+    if as_json:
+        typer.echo(json.dumps(_json_of(plan, captures, is_dry=dry_run), ensure_ascii=False))
+    if not dry_run:
+        with _progress("importing", is_quiet=quiet) as tick:
+            carry_out(plan, captures, is_linked=link, tick=tick)
+    if not quiet:
+        _say_done(plan, captures, is_dry=dry_run)
+
+
+def _no_pair(dcim: Path, plan: ImportPlan, *, is_shown: bool) -> InputError:
+    listed = () if is_shown else plan.unpaired[:_MAX_LISTED]
+    told = "".join(f"\n  {one.photo.path.name}: {one.reason}" for one in listed)
+    more = f"\n  and {len(plan.unpaired) - len(listed)} more" if listed and len(plan.unpaired) > len(listed) else ""
+    hint = "photograph each scene with both lenses, or state --max-seconds, --tele-mm and --wide-mm"
+    return InputError(f"{dcim}: no two photos make a pair of tele and wide{told}{more}", hint=hint)
+
+
+def _show(plan: ImportPlan) -> None:
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = _TABLE_WIDTH
+    if plan.pairs:
+        console.print(_table_of_pairs(plan))
+    if plan.unpaired:
+        console.print(_table_of_unpaired(plan))
+
+
+def _table_of_pairs(plan: ImportPlan) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("capture", "tele", "wide"):
+        table.add_column(heading)
+    for heading in ("apart s", "f mm", "35 mm", "ratio"):
+        table.add_column(heading, justify="right")
+    table.add_column("note")
+    for planned in plan.pairs:
+        pair = planned.pair
+        tele, wide = pair.tele.facts, pair.wide.facts
+        table.add_row(
+            *(escape(name) for name in (planned.name, pair.tele.path.name, pair.wide.path.name)),
+            f"{abs(pair.seconds_apart):.1f}",
+            f"{_number(tele.focal_length_mm)} / {_number(wide.focal_length_mm)}",
+            f"{_number(tele.f35_mm)} / {_number(wide.f35_mm)}",
+            _number(pair.ratio, "2.2f"),
+            "; ".join(pair.notes),
+        )
+    return table
+
+
+def _table_of_unpaired(plan: ImportPlan) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("left out")
+    table.add_column("taken")
+    for heading in ("f mm", "35 mm"):
+        table.add_column(heading, justify="right")
+    table.add_column("why")
+    for one in plan.unpaired:
+        facts = one.photo.facts
+        taken = facts.taken.strftime("%Y-%m-%d %H:%M:%S") if facts.taken else "-"
+        row = (_number(facts.focal_length_mm), _number(facts.f35_mm))
+        table.add_row(escape(one.photo.path.name), taken, *row, escape(one.reason))
+    return table
+
+
+def _number(value: float | None, form: str = "g") -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _say_done(plan: ImportPlan, captures: Path, *, is_dry: bool) -> None:
+    done = "would be imported" if is_dry else "imported"
+    typer.echo(f"{done} into {captures}: {len(plan.pairs)} new, {len(plan.known)} already there", err=True)
+    if plan.unpaired:
+        typer.echo(f"left out: {len(plan.unpaired)}", err=True)
+    if not is_dry and plan.pairs:
+        typer.echo(f"next: telewide calibrate, or telewide train {captures}", err=True)
+
+
+def _json_of(plan: ImportPlan, captures: Path, *, is_dry: bool) -> dict[str, object]:
+    return {
+        "captures": str(captures),
+        "is_dry_run": is_dry,
+        "pairs": [
+            {
+                "name": planned.name,
+                "tele": _json_of_photo(planned.pair.tele.path, planned.pair.tele.facts),
+                "wide": _json_of_photo(planned.pair.wide.path, planned.pair.wide.facts),
+                "seconds_apart": planned.pair.seconds_apart,
+                "ratio_35": planned.pair.ratio,
+                "notes": list(planned.pair.notes),
+            }
+            for planned in plan.pairs
+        ],
+        "unpaired": [
+            {**_json_of_photo(one.photo.path, one.photo.facts), "reason": one.reason} for one in plan.unpaired
+        ],
+        "known": list(plan.known),
+    }
+
+
+def _json_of_photo(path: Path, facts: PhotoFacts) -> dict[str, object]:
+    return {
+        "file": str(path),
+        "camera": facts.camera,
+        "focal_length_mm": facts.focal_length_mm,
+        "f35_mm": facts.f35_mm,
+        "taken": facts.taken.isoformat() if facts.taken else None,
+    }
+
+
+@contextmanager
+def _progress(what: str, *, is_quiet: bool) -> Iterator[_Tick]:
+    """Show a bar on a terminal, nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
+        task = progress.add_task(what)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
