@@ -1,17 +1,34 @@
 """The rig on disk: ``rig.yaml``, a calibration in plain numbers with their units in the names.
 
-What is read equals what was written. Letters: none.
+What is read equals what was written. ``null`` stands for a number that is not known. Frames as in `geometry.rig`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from telewide.calibration.quality import CalibrationQuality
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.result import Calibration, CameraStd, TransformStd
-from telewide.geometry.rig import StereoRig
+from telewide.calibration.rig_sheet import CameraSheet, CameraStdSheet, CheckSheet, QualitySheet, RigSheet, RigStdSheet
+from telewide.capture.rundir import write_text
+from telewide.errors import InputError, UsageError
+from telewide.geometry.rig import Camera, StereoRig, rigid_transform
+from telewide.options import parse_options
+
+RIG_FILE = "rig.yaml"
+_HEADER = """\
+# Two lenses and how they stand to each other. Lengths in metres; pixel (0, 0) is the centre of the top-left pixel.
+# wide = rotation @ tele + translation_m; x right, y down, z forward. Distortion: k1 k2 p1 p2 k3 k4 k5 k6 (OpenCV).
+# std is one standard deviation; rms_px a root mean square distance in pixels of that lens's photos.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,6 +79,29 @@ class StoredRig:
     left_out: tuple[str, ...] = ()
 
 
+def stored_rig(calibration: Calibration, *, facts: RigFacts) -> StoredRig:
+    """The part of a calibration that goes into a file.
+
+    Args:
+        calibration: what :func:`telewide.calibration.solve.calibrate_rig` returned.
+        facts: how it was made.
+    """
+    used = [{view.shot for view in calibration.views if view.camera == lens and view.is_used} for lens in _LENSES]
+    return StoredRig(
+        rig=calibration.rig,
+        tele_std=calibration.tele_std,
+        wide_std=calibration.wide_std,
+        transform_std=calibration.transform_std,
+        quality=calibration.quality,
+        facts=facts,
+        n_joint_views=len(used[0] & used[1]),
+        left_out=tuple(f"{view.shot} ({view.camera}): {view.reason}" for view in calibration.views if not view.is_used),
+    )
+
+
+_LENSES = ("tele", "wide")
+
+
 def write_rig(path: Path, calibration: Calibration, *, facts: RigFacts) -> None:
     """Write a calibration as ``rig.yaml``.
 
@@ -73,11 +113,11 @@ def write_rig(path: Path, calibration: Calibration, *, facts: RigFacts) -> None:
     Raises:
         UsageError: the place cannot be written.
     """
-    raise NotImplementedError
+    write_stored_rig(path, stored_rig(calibration, facts=facts))
 
 
 def write_stored_rig(path: Path, stored: StoredRig) -> None:
-    """Write a rig that did not come from :func:`calibrate_rig`, such as one from scenes.
+    """Write a rig that did not come from a board, such as one from scenes.
 
     Args:
         path: the file to write or to replace.
@@ -86,7 +126,9 @@ def write_stored_rig(path: Path, stored: StoredRig) -> None:
     Raises:
         UsageError: the place cannot be written.
     """
-    raise NotImplementedError
+    sheet = _sheet_of(stored)
+    text = yaml.safe_dump(sheet.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=120)
+    write_text(path, _HEADER + text)
 
 
 def read_rig(path: Path) -> StoredRig:
@@ -102,4 +144,133 @@ def read_rig(path: Path) -> StoredRig:
         UsageError: there is no such file.
         InputError: not a rig file, another version, or a value no rig has; the message names the key.
     """
-    raise NotImplementedError
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError as error:
+        raise UsageError(f"there is no rig file {path}", hint="telewide calibrate makes one from photos") from error
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path} cannot be read as YAML: {error}") from error
+    if isinstance(data, dict) and data.get("format", 1) != 1:
+        raise InputError(
+            f"{path}: format is {data['format']!r}, this version reads format 1",
+            hint="make the rig again with telewide calibrate, or update telewide",
+        )
+    return _stored_of(parse_options(RigSheet, data, source=str(path), error=InputError))
+
+
+def _sheet_of(stored: StoredRig) -> RigSheet:
+    facts = asdict(stored.facts)
+    if facts["created_utc"] is None:
+        facts["created_utc"] = datetime.now(UTC).isoformat(timespec="seconds")
+    rig, transform_std = stored.rig, stored.transform_std
+    return RigSheet(
+        **facts,
+        is_scale_known=rig.is_scale_known,
+        tele=_camera_sheet(rig.tele, stored.tele_std),
+        wide=_camera_sheet(rig.wide, stored.wide_std),
+        wide_from_tele={
+            "rotation": _rows(rig.wide_from_tele[:3, :3]),
+            "translation_m": _row(rig.wide_from_tele[:3, 3]),
+            "std": None if transform_std is None else _rig_std_sheet(transform_std),
+        },
+        baseline_m=rig.baseline_m,
+        n_joint_views=stored.n_joint_views,
+        left_out=stored.left_out,
+        quality=_quality_sheet(stored.quality),
+    )
+
+
+def _camera_sheet(camera: Camera, std: CameraStd | None) -> CameraSheet:
+    return CameraSheet(
+        width_px=camera.hw[1],
+        height_px=camera.hw[0],
+        fx_px=float(camera.K[0, 0]),
+        fy_px=float(camera.K[1, 1]),
+        cx_px=float(camera.K[0, 2]),
+        cy_px=float(camera.K[1, 2]),
+        distortion=_row(camera.distortion),
+        std=None if std is None else CameraStdSheet(**{**asdict(std), "distortion": _row(std.distortion)}),
+    )
+
+
+def _rig_std_sheet(std: TransformStd) -> RigStdSheet:
+    return RigStdSheet(
+        rotation_deg=_row(std.rotation_deg),
+        translation_m=_row(std.translation_m),
+        baseline_m=std.baseline_m,
+        covariance_rad_m=_rows(std.covariance),
+    )
+
+
+def _quality_sheet(quality: CalibrationQuality) -> QualitySheet:
+    figures = {name: _known(value) for name, value in vars(quality).items() if name.endswith("_px")}
+    checks = tuple(
+        CheckSheet(**{**asdict(check), "value": _known(check.value), "limit": _known(check.limit)})
+        for check in quality.checks
+    )
+    return QualitySheet(verdict=quality.verdict, checks=checks, **figures)
+
+
+def _stored_of(sheet: RigSheet) -> StoredRig:
+    std = sheet.wide_from_tele.std
+    R, t = np.array(sheet.wide_from_tele.rotation), np.array(sheet.wide_from_tele.translation_m)
+    facts = RigFacts(**{name: getattr(sheet, name) for name in RigFacts.__dataclass_fields__})
+    return StoredRig(
+        rig=StereoRig(
+            tele=_camera_of(sheet.tele),
+            wide=_camera_of(sheet.wide),
+            wide_from_tele=rigid_transform(rotation=R, translation=t),
+            is_scale_known=sheet.is_scale_known,
+        ),
+        tele_std=_camera_std_of(sheet.tele.std),
+        wide_std=_camera_std_of(sheet.wide.std),
+        transform_std=None if std is None else _transform_std_of(std),
+        quality=_quality_of(sheet.quality),
+        facts=replace(facts, notes=tuple(facts.notes)),
+        n_joint_views=sheet.n_joint_views,
+        left_out=tuple(sheet.left_out),
+    )
+
+
+def _camera_of(sheet: CameraSheet) -> Camera:
+    K = np.array([[sheet.fx_px, 0.0, sheet.cx_px], [0.0, sheet.fy_px, sheet.cy_px], [0.0, 0.0, 1.0]])
+    return Camera((sheet.height_px, sheet.width_px), K, np.array(sheet.distortion, dtype=np.float64))
+
+
+def _camera_std_of(sheet: CameraStdSheet | None) -> CameraStd | None:
+    if sheet is None:
+        return None
+    return CameraStd(sheet.f_px, sheet.cx_px, sheet.cy_px, np.array(sheet.distortion, dtype=np.float64), sheet.aspect)
+
+
+def _transform_std_of(sheet: RigStdSheet) -> TransformStd:
+    return TransformStd(
+        rotation_deg=np.array(sheet.rotation_deg),
+        translation_m=np.array(sheet.translation_m),
+        baseline_m=sheet.baseline_m,
+        covariance=np.array(sheet.covariance_rad_m),
+    )
+
+
+def _quality_of(sheet: QualitySheet) -> CalibrationQuality:
+    figures = {name: _number(getattr(sheet, name)) for name in type(sheet).model_fields if name.endswith("_px")}
+    checks = tuple(
+        Check(each.name, each.status, _number(each.value), _number(each.limit), each.advice) for each in sheet.checks
+    )
+    return CalibrationQuality(**figures, checks=checks, verdict=sheet.verdict)
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _row(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+def _rows(values: NDArray[np.float64]) -> tuple[tuple[float, ...], ...]:
+    return tuple(_row(row) for row in values)

@@ -1,0 +1,133 @@
+"""What a ``rig.yaml`` may say, key by key."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from telewide.calibration.quality import Status, Verdict
+from telewide.options import Options
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Row = tuple[Number, Number, Number]
+
+MAX_BASELINE_M = 2.0
+"""Lenses of one device are no further apart; a larger number was meant in millimetres."""
+_ROTATION_TOLERANCE = 1e-6
+_BASELINE_TOLERANCE = 1e-3
+
+
+class CameraStdSheet(Options):
+    """Standard deviations of a camera."""
+
+    f_px: Deviation
+    cx_px: Deviation
+    cy_px: Deviation
+    distortion: tuple[Deviation, ...]
+    aspect: Deviation = 0.0
+
+
+class CameraSheet(Options):
+    """A lens at one photo size."""
+
+    width_px: Annotated[int, Field(gt=0)]
+    height_px: Annotated[int, Field(gt=0)]
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: Number
+    cy_px: Number
+    distortion: tuple[Number, ...]
+    std: CameraStdSheet | None = None
+
+    @field_validator("distortion")
+    @classmethod
+    def _has_a_length_of_opencv(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) not in (0, 4, 5, 8):
+            raise ValueError(f"0, 4, 5 or 8 coefficients; found {len(value)}")
+        return value
+
+
+class RigStdSheet(Options):
+    """Standard deviations of the rig; covariance of three turns in radians and three shifts in metres."""
+
+    rotation_deg: tuple[Deviation, Deviation, Deviation]
+    translation_m: tuple[Deviation, Deviation, Deviation]
+    baseline_m: Deviation
+    covariance_rad_m: Annotated[
+        tuple[tuple[Number, Number, Number, Number, Number, Number], ...], Field(min_length=6, max_length=6)
+    ]
+
+
+class TransformSheet(Options):
+    """From the tele camera's frame to the wide camera's."""
+
+    rotation: tuple[Row, Row, Row]
+    translation_m: Row
+    std: RigStdSheet | None = None
+
+    @field_validator("rotation")
+    @classmethod
+    def _turns(cls, value: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
+        R = np.array(value)
+        if np.abs(R @ R.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            raise ValueError("a rotation: three rows of length 1 at right angles, right-handed")
+        return value
+
+
+class CheckSheet(Options):
+    """One question and its answer."""
+
+    name: str
+    status: Status
+    value: Number | None
+    limit: Number | None
+    advice: str = ""
+
+
+class QualitySheet(Options):
+    """What the calibration is worth."""
+
+    verdict: Verdict
+    tele_rms_px: Deviation | None
+    wide_rms_px: Deviation | None
+    epipolar_p50_px: Deviation | None
+    epipolar_p90_px: Deviation | None
+    epipolar_p99_px: Deviation | None
+    cross_validation_px: Deviation | None
+    checks: tuple[CheckSheet, ...] = ()
+
+
+class RigSheet(Options):
+    """A whole rig file."""
+
+    format: Literal[1] = 1
+    created_utc: str | None = None
+    source: Literal["boards", "scenes"] = "boards"
+    board: str | None = None
+    image_pipeline: str | None = None
+    focus_distance_m: Positive | None = None
+    scale_verified: bool = False
+    is_scale_known: bool = True
+    tele: CameraSheet
+    wide: CameraSheet
+    wide_from_tele: TransformSheet
+    baseline_m: Positive
+    n_joint_views: Annotated[int, Field(ge=0)] = 0
+    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    quality: QualitySheet
+
+    @model_validator(mode="after")
+    def _agrees_with_itself(self) -> RigSheet:
+        length_m = float(np.linalg.norm(self.wide_from_tele.translation_m))
+        if abs(length_m - self.baseline_m) > _BASELINE_TOLERANCE * length_m:
+            raise ValueError(
+                f"baseline_m as long as wide_from_tele.translation_m, {length_m:.6g}; found {self.baseline_m:g}"
+            )
+        if self.is_scale_known and length_m > MAX_BASELINE_M:
+            raise ValueError(f"baseline_m in metres, at most {MAX_BASELINE_M}; found {length_m:g}")
+        return self
