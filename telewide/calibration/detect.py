@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.calibration.boards import Board
+from telewide.calibration.chessboard import find_chessboard
+from telewide.calibration.markers import find_marker_board
+from telewide.calibration.pyramid import pyramid
 
 FloatArray = NDArray[np.float64]
+
+MIN_CORNERS = 4
+"""A view with fewer says nothing of where the board is."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,16 @@ def detect_board(grey_u8: NDArray[np.uint8], *, board: Board) -> BoardView | Non
         board: what to look for; a chessboard must be wholly visible, markers may be partly out of the photo.
 
     Returns:
-        The corners, or None where the photo shows no such board.
+        The corners, or None where the photo shows no such board or less than four corners of it.
+
+    Raises:
+        InputError: the board names markers that OpenCV does not have.
     """
-    raise NotImplementedError
+    if board.kind == "chessboard":
+        found = find_chessboard(grey_u8, pyramid(grey_u8), board=board)
+    else:
+        found = find_marker_board(grey_u8, pyramid(grey_u8), board=board)
+    if found is None or len(found.ids) < MIN_CORNERS:
+        return None
+    height, width = grey_u8.shape
+    return BoardView(found.ids, found.points_px, (height, width))
