@@ -30,7 +30,7 @@ svg .frame { fill: none; stroke: var(--line); } svg .dots { fill: none; stroke-l
 svg .series0 { stroke: var(--curve); } svg .series1 { stroke: var(--second); } svg .limit { stroke: var(--warn);
   stroke-dasharray: 5 4; } svg text.name { fill: var(--ink); } svg .bar { fill: var(--second); }
 svg .bar.out { fill: var(--bad); } svg .cell { fill: var(--cell); } svg .arrow { stroke: var(--second); fill: none; }
-svg line.curve { stroke-width: 2; }
+svg line.curve { stroke-width: 2; } svg .outline { fill: none; stroke: var(--second); stroke-width: 2; }
 """
 
 _WH = (640, 300)
@@ -191,7 +191,14 @@ def bar_list(bars: Sequence[Bar], *, unit: str, caption: str, limit: float | Non
     return figure_svg("".join(parts), wh=(_PHOTO_WIDTH, height), caption=caption)
 
 
-def coverage_chart(points_px: FloatArray, cell_counts: NDArray[np.int64], *, hw: tuple[int, int], caption: str) -> str:
+def coverage_chart(
+    points_px: FloatArray,
+    cell_counts: NDArray[np.int64],
+    *,
+    hw: tuple[int, int],
+    caption: str,
+    outline_px: FloatArray | None = None,
+) -> str:
     """Draw where points lie in a photo, over cells shaded by how many they hold.
 
     Args:
@@ -199,6 +206,7 @@ def coverage_chart(points_px: FloatArray, cell_counts: NDArray[np.int64], *, hw:
         cell_counts: (rows, columns) points in each cell.
         hw: size of the photo, px.
         caption: the sentence below.
+        outline_px: (M, 2) corners of a closed outline to draw into it.
 
     Returns:
         A figure element.
@@ -215,6 +223,9 @@ def coverage_chart(points_px: FloatArray, cell_counts: NDArray[np.int64], *, hw:
         if count
     ]
     parts.append(f'<path class="dots" stroke-width="2.6" d="{_dots_path((points_px + 0.5) * scale)}"/>')
+    if outline_px is not None:
+        outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in (outline_px + 0.5) * scale)
+        parts.append(f'<polygon class="outline" points="{outline}"/>')
     return figure_svg(_framed(parts, height=height), wh=(_PHOTO_WIDTH, round(height)), caption=caption)
 
 

@@ -28,14 +28,20 @@ from telewide.output.charts import (
     heat_chart,
     line_chart,
 )
-from telewide.output.rig_figures import camera_difference_px, cell_counts, depth_error_m, transfer_difference_px
+from telewide.output.rig_figures import (
+    camera_difference_px,
+    cell_counts,
+    depth_error_m,
+    tele_outline_px,
+    transfer_difference_px,
+)
 
 FloatArray = NDArray[np.float64]
 
 LENSES: tuple[Lens, ...] = ("tele", "wide")
-_LensFigure = Callable[[Lens, Camera, Sequence[ViewResult]], str]
+_LensFigure = Callable[[Calibration, Lens, Sequence[ViewResult]], str]
 _COVERAGE_CELLS = (6, 8)
-_ARROW_SHARE = 0.04  # the 95th percentile of the arrows is drawn so long, as a share of the photo's width
+_ARROW_SHARE = 0.03  # the 95th percentile of the arrows is drawn so long, as a share of the photo's width
 _DEPTHS_M = (0.5, 1.0, 2.0, 4.0)
 _MATCHING_STD_PX = 0.5
 _MEDIAN_OF_ABS_NORMAL = 0.6745
@@ -61,14 +67,13 @@ def cross_validation_figures(calibration: Calibration) -> str:
     if calibration.half_rigs is None:
         return ""
     odd, even = calibration.half_rigs
-    distances_m = [view.distance_m for view in calibration.views if view.is_used and math.isfinite(view.distance_m)]
-    depth_m = float(np.median(distances_m)) if distances_m else 1.0
+    distance_m = _joint_distance_m(calibration.views)
     maps = (
         ("tele alone", camera_difference_px(odd.tele, even.tele), odd.tele.hw, "px"),
         ("wide alone", camera_difference_px(odd.wide, even.wide), odd.wide.hw, "px"),
         (
-            f"from tele to wide, at {_distance(depth_m, calibration)}",
-            transfer_difference_px(odd, even, depth_m=depth_m),
+            f"from tele to wide, at {_distance(distance_m, calibration)}",
+            transfer_difference_px(odd, even, distance_m=distance_m),
             odd.tele.hw,
             "tele px",
         ),
@@ -76,8 +81,8 @@ def cross_validation_figures(calibration: Calibration) -> str:
     figures = []
     for name, difference_px, hw, unit in maps:
         caption = (
-            f"{name}: solved from the odd photos and from the even ones, {_rms(difference_px):.2f} {unit} apart (RMS), "
-            f"{difference_px.max():.2f} at most. Good: about the noise of the corners, at most 0.5 px where it matters."
+            f"{name}: solved from the odd photos and from the even ones, {_rms(difference_px):.2f} {unit} apart "
+            f"(RMS), {difference_px.max():.2f} at most. Good: little more than the noise of the corners where boards were held."
         )
         high = max(float(difference_px.max()), 0.1)
         values = difference_px.astype(np.float32)
@@ -133,7 +138,7 @@ def depth_figure(calibration: Calibration) -> str:
     table = f"<table><thead><tr><th>distance</th>{head}</tr></thead>\n<tbody>{rows}</tbody></table>"
     baseline_share = calibration.transform_std.baseline_m / rig.baseline_m
     note = f"The distance of the lenses, known to {baseline_share:.2%}, adds the same share at every distance."
-    return f'<div class="charts">{chart}</div><div class="scroll">{table}</div><p class="faint">{note}</p>'
+    return f'<div class="charts">{chart}<div class="scroll">{table}<p class="faint">{note}</p></div></div>'
 
 
 def pose_figure(views: Sequence[ViewResult]) -> str:
@@ -156,38 +161,44 @@ def pose_figure(views: Sequence[ViewResult]) -> str:
 
 
 def _per_lens(calibration: Calibration, figure: _LensFigure) -> str:
-    cameras: dict[Lens, Camera] = {"tele": calibration.rig.tele, "wide": calibration.rig.wide}
     views = {lens: [view for view in calibration.views if view.camera == lens] for lens in LENSES}
-    return "".join(figure(lens, cameras[lens], views[lens]) for lens in LENSES if views[lens])
+    return "".join(figure(calibration, lens, views[lens]) for lens in LENSES if views[lens])
 
 
-def _coverage_figure(lens: Lens, camera: Camera, views: Sequence[ViewResult]) -> str:
+def _camera(calibration: Calibration, lens: Lens) -> Camera:
+    return calibration.rig.tele if lens == "tele" else calibration.rig.wide
+
+
+def _coverage_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+    camera = _camera(calibration, lens)
     points_px = _stacked([view.points_px for view in views if view.is_used])
     counts = cell_counts(points_px, hw=camera.hw, cells=_COVERAGE_CELLS)
-    share = float((counts > 0).mean())
-    caption = (
-        f"{lens}: {len(points_px)} corners in {sum(view.is_used for view in views)} photos; {share:.0%} of the frame's "
-        f"{counts.size} cells hold some. Fill the empty ones, the corners of the frame above all."
+    caption = f"{lens}: {len(points_px)} corners in {sum(view.is_used for view in views)} photos. " + (
+        "Fill the empty cells, the corners of the frame above all."
+        if lens == "tele"
+        else "The outline is what tele sees: depth needs wide there."
     )
-    return coverage_chart(points_px, counts, hw=camera.hw, caption=caption)
+    outline_px = tele_outline_px(calibration.rig) if lens == "wide" else None
+    return coverage_chart(points_px, counts, hw=camera.hw, caption=caption, outline_px=outline_px)
 
 
-def _residual_figure(lens: Lens, camera: Camera, views: Sequence[ViewResult]) -> str:
+def _residual_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+    hw = _camera(calibration, lens).hw
     points_px = _stacked([view.points_px for view in views if view.is_used])
     residuals_px = _stacked([view.residuals_px for view in views if view.is_used])
     lengths_px = np.linalg.norm(residuals_px, axis=1)
     longest_px = float(np.quantile(lengths_px, 0.95)) if len(lengths_px) else 0.0
-    magnified = _rounded_down(_ARROW_SHARE * camera.hw[1] / max(longest_px, 1e-6))
+    magnified = _rounded_down(_ARROW_SHARE * hw[1] / max(longest_px, 1e-6))
     caption = (
         f"{lens}: from each corner as reprojected to where it was found, {magnified:g} times enlarged. Good: arrows "
         "point anywhere; a pattern, such as all outwards in the corners of the frame, means a lens model that is too "
         "simple or a board that is not flat."
     )
     shown = np.minimum(1.0, 3 * longest_px / np.maximum(lengths_px, 1e-9))[:, None] * residuals_px
-    return arrow_chart(points_px - residuals_px, shown, hw=camera.hw, magnified=magnified, caption=caption)
+    return arrow_chart(points_px - residuals_px, shown, hw=hw, magnified=magnified, caption=caption)
 
 
-def _view_figure(lens: Lens, camera: Camera, views: Sequence[ViewResult]) -> str:
+def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
     bars = [Bar(view.shot, view.rms_px, is_out=not view.is_used) for view in views]
     n_out = sum(bar.is_out for bar in bars)
     caption = f"{lens}: RMS distance of corners and their reprojections in each photo, px; " + (
@@ -200,6 +211,12 @@ def _depth_cell(depth_m: float, calibration: Calibration, std_px: float) -> str:
     error_m = float(depth_error_m(np.array(depth_m), calibration.rig, disparity_std_px=std_px))
     length = f"{error_m * 1e3:.1f} mm" if error_m < 0.0995 else f"{error_m:.2f} m"
     return f"&plusmn; {length} ({error_m / depth_m:.1%})"
+
+
+def _joint_distance_m(views: Sequence[ViewResult]) -> float:
+    """Median distance of the boards that both lenses saw, from tele."""
+    in_wide = {view.shot for view in views if view.camera == "wide" and view.is_used}
+    return float(np.median([v.distance_m for v in views if v.camera == "tele" and v.is_used and v.shot in in_wide]))
 
 
 def _stacked(arrays: Sequence[FloatArray]) -> FloatArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.calibration.validation import difference_px
 from telewide.geometry.rig import Camera, StereoRig
 
 FloatArray = NDArray[np.float64]
@@ -37,21 +38,37 @@ def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
     return np.linalg.norm(difference_px, axis=1).reshape(_grid_shape(first.hw))
 
 
-def transfer_difference_px(first: StereoRig, second: StereoRig, *, depth_m: float) -> FloatArray:
+def transfer_difference_px(first: StereoRig, second: StereoRig, *, distance_m: float) -> FloatArray:
     """How differently two rigs carry a point from the tele photo to the wide photo, over the tele photo.
 
     Args:
         first: one solve.
         second: another one, of photos of the same sizes.
-        depth_m: the point's depth in the tele camera's frame, m.
+        distance_m: the point's depth in the tele camera's frame, m.
 
     Returns:
         (R, C) tele px: distances in the wide photo times ``f_tele / f_wide``.
     """
-    grid_px = _grid_px(first.tele.hw)
-    carried = [_transferred_px(rig, grid_px, depth_m=depth_m) for rig in (first, second)]
-    distance_px = np.linalg.norm(carried[0] - carried[1], axis=1) * first.asymmetry
-    return distance_px.reshape(_grid_shape(first.tele.hw))
+    grid_hw = _grid_shape(first.tele.hw)
+    return np.linalg.norm(difference_px(first, second, distance_m=distance_m, grid_hw=grid_hw), axis=-1)
+
+
+def tele_outline_px(rig: StereoRig) -> FloatArray:
+    """Where the wide photo shows what tele sees, things far away.
+
+    Args:
+        rig: the two cameras.
+
+    Returns:
+        (N, 2) px of the wide photo, once around the tele photo's border.
+    """
+    height, width = rig.tele.hw
+    along = np.linspace(0, 1, 9)[:-1, None]
+    corners_px = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]]) - 0.5
+    ends_px = np.roll(corners_px, -1, axis=0)
+    border_px = np.concatenate([a + along * (b - a) for a, b in zip(corners_px, ends_px, strict=True)])
+    rays = np.column_stack([rig.tele.normalised(border_px), np.ones(len(border_px))])
+    return rig.wide.project(rays @ rig.wide_from_tele[:3, :3].T)
 
 
 def depth_error_m(depth_m: FloatArray, rig: StereoRig, *, disparity_std_px: float) -> FloatArray:
@@ -82,12 +99,6 @@ def cell_counts(points_px: FloatArray, *, hw: tuple[int, int], cells: tuple[int,
     edges = (np.linspace(0, hw[0], cells[0] + 1) - 0.5, np.linspace(0, hw[1], cells[1] + 1) - 0.5)
     counts, _, _ = np.histogram2d(points_px[:, 1], points_px[:, 0], bins=edges)
     return counts.astype(np.int64)
-
-
-def _transferred_px(rig: StereoRig, tele_px: FloatArray, *, depth_m: float) -> FloatArray:
-    rays = np.column_stack([rig.tele.normalised(tele_px), np.ones(len(tele_px))])
-    in_wide_m = depth_m * rays @ rig.wide_from_tele[:3, :3].T + rig.wide_from_tele[:3, 3]
-    return rig.wide.project(in_wide_m)
 
 
 def _unit_rays(camera: Camera, points_px: FloatArray) -> FloatArray:

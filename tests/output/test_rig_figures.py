@@ -9,7 +9,13 @@ import pytest
 from output.made_calibration import made_rig
 
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
-from telewide.output.rig_figures import camera_difference_px, cell_counts, depth_error_m, transfer_difference_px
+from telewide.output.rig_figures import (
+    camera_difference_px,
+    cell_counts,
+    depth_error_m,
+    tele_outline_px,
+    transfer_difference_px,
+)
 
 HW = (600, 800)
 
@@ -44,15 +50,15 @@ def test_a_moved_principal_point_is_mostly_a_turn_of_a_long_lens() -> None:
 
 def test_transfer_sees_a_change_of_baseline_as_a_change_of_disparity() -> None:
     first, second = pinhole_rig(x_m=0.01), pinhole_rig(x_m=0.011)
-    difference_px = transfer_difference_px(first, second, depth_m=2.0)
+    difference_px = transfer_difference_px(first, second, distance_m=2.0)
     np.testing.assert_allclose(difference_px, 1500.0 * 0.001 / 2.0, rtol=1e-9)
-    assert transfer_difference_px(first, first, depth_m=2.0).max() == 0
+    assert transfer_difference_px(first, first, distance_m=2.0).max() == 0
 
 
 def test_transfer_is_counted_in_tele_pixels() -> None:
     first = pinhole_rig()
     turned = rigid_transform(rotation=np.array([0, 1e-4, 0]), translation=np.array([0.01, 0, 0]))
-    difference_px = transfer_difference_px(first, dataclasses.replace(first, wide_from_tele=turned), depth_m=1e6)
+    difference_px = transfer_difference_px(first, dataclasses.replace(first, wide_from_tele=turned), distance_m=1e6)
     centre_px = difference_px[difference_px.shape[0] // 2, difference_px.shape[1] // 2]
     assert centre_px == pytest.approx(1500.0 * 1e-4, rel=1e-3)  # small angle times f_tele
 
@@ -65,6 +71,13 @@ def test_depth_error_is_the_slope_of_depth_over_disparity() -> None:
     numeric_m = (15.0 / (disparity_px - step_px) - 15.0 / (disparity_px + step_px)) / (2 * step_px)
     np.testing.assert_allclose(depth_error_m(depth_m, rig, disparity_std_px=1.0), numeric_m, rtol=1e-6)
     np.testing.assert_allclose(depth_error_m(depth_m, rig, disparity_std_px=0.3), 0.3 * numeric_m, rtol=1e-6)
+
+
+def test_the_outline_of_tele_is_its_frame_shrunk_by_the_focal_ratio() -> None:
+    outline_px = tele_outline_px(pinhole_rig())
+    low_px, high_px = outline_px.min(axis=0), outline_px.max(axis=0)
+    np.testing.assert_allclose(high_px - low_px, np.array([800, 600]) / 3, atol=1e-6)
+    np.testing.assert_allclose((low_px + high_px) / 2, [399.5, 299.5], atol=1e-6)
 
 
 def test_cells_count_every_point_inside_once() -> None:
