@@ -82,7 +82,8 @@ def cross_validation_figures(calibration: Calibration) -> str:
     for name, difference_px, hw, unit in maps:
         caption = (
             f"{name}: solved from the odd photos and from the even ones, {_rms(difference_px):.2f} {unit} apart "
-            f"(RMS), {difference_px.max():.2f} at most. Good: little more than the noise of the corners where boards were held."
+            f"(RMS), {difference_px.max():.2f} at most. Good: little more than the noise of the corners, where boards "
+            "were held."
         )
         high = max(float(difference_px.max()), 0.1)
         values = difference_px.astype(np.float32)
