@@ -42,7 +42,7 @@ def disparity_on_tele(rectified: DisparityMap, *, geometry: RectifiedGeometry) -
     map_x, map_y = dense_map(geometry.ref_from_tele, hw=geometry.rig.tele.hw)
     tele_px = _seen_by_tele(rectified.disparity_px, geometry=geometry)
     near_edge = _is_near_edge(rectified.disparity_px)
-    smooth_px = _fetch(np.where(near_edge, np.float32(0), tele_px), map_x, map_y, is_linear=True)
+    smooth_px = _fetch(np.nan_to_num(tele_px, nan=0.0), map_x, map_y, is_linear=True)
     nearest_px = _fetch(tele_px, map_x, map_y)
     is_mixed = _fetch(near_edge, map_x, map_y) > 0
     return DisparityMap(

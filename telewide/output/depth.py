@@ -7,13 +7,15 @@ Letters: H W image.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.facts import CaptureFacts
+from telewide.geometry.rig import StereoRig
 from telewide.geometry.stereo import DisparityMap, FloatMap, depth_from_disparity
+from telewide.output.metric import DepthPrecision, depth_std_m, disparity_std_px
 
 FloatMatrix = NDArray[np.float64]
 
@@ -28,6 +30,8 @@ class DepthResult:
         K: (3, 3) float64 intrinsics of the ref photo, px; None where the focal length is not known.
         baseline_m: distance of the two lenses, m; None where not known.
         depth_m: (H, W) float32, m, NaN where unknown; None where K or the baseline is not known.
+        depth_std_m: (H, W) float32, m, standard deviation of the depth, NaN where unknown; None without a rig.
+        distortion: (n,) OpenCV coefficients of the ref photo; None where not known, empty where there is none.
         doffs_px: ``cx_src - cx_ref``, px.
         rotated_deg: how far the photos were turned counter-clockwise before they were given (multiple of 90).
             Files keep that orientation, pictures for people are shown upright.
@@ -38,6 +42,8 @@ class DepthResult:
     K: FloatMatrix | None = None
     baseline_m: float | None = None
     depth_m: FloatMap | None = None
+    depth_std_m: FloatMap | None = None
+    distortion: FloatMatrix | None = None
     doffs_px: float = 0.0
     rotated_deg: int = 0
 
@@ -72,6 +78,44 @@ def depth_result(name: str, disparity: DisparityMap, *, facts: CaptureFacts | No
         doffs_px=doffs_px,
         rotated_deg=facts.rotated_deg,
     )
+
+
+def depth_result_of_rig(
+    name: str,
+    disparity: DisparityMap,
+    *,
+    rig: StereoRig,
+    precision: DepthPrecision | None = None,
+    matched_scale: float = 1.0,
+) -> DepthResult:
+    """Put a disparity map on the tele photo together with the rig it was rectified by.
+
+    ``depth_m = K[0, 0] baseline_m / disparity_px`` along tele's optical axis; its standard deviation by
+    `telewide.output.metric`.
+
+    Args:
+        name: of the capture.
+        disparity: (H, W) maps on the tele photo, as `telewide.correction.unrectify.disparity_on_tele` brings them.
+        rig: the two cameras, tele at the size of the map.
+        precision: what all depths of the shot share; None for an exact rig that nothing moved.
+        matched_scale: px of the views that were matched for one px of the tele photo (`RectifiedGeometry.scale`).
+
+    Returns:
+        The result; metric only where the rig's scale is known.
+    """
+    f_px = float(rig.tele.K[0, 0])
+    result = DepthResult(name=name, disparity=disparity, K=rig.tele.K, distortion=rig.tele.distortion)
+    if not rig.is_scale_known:
+        return result
+    depth_m = depth_from_disparity(disparity.disparity_px, f_px=f_px, baseline_m=rig.baseline_m)
+    std_m = depth_std_m(
+        depth_m,
+        disparity_std_px(disparity, scale=matched_scale),
+        f_px=f_px,
+        baseline_m=rig.baseline_m,
+        precision=precision or DepthPrecision(),
+    )
+    return replace(result, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
 
 
 def _centred_intrinsics(f_px: float, *, hw: tuple[int, ...]) -> FloatMatrix:

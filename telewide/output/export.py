@@ -100,7 +100,8 @@ def npz_arrays(result: DepthResult) -> dict[str, NDArray[np.generic]]:
 
     Returns:
         ``format``; ``disparity`` (H, W) float32 px; ``confidence`` (H, W) float32; ``valid`` (H, W) bool; ``K`` (3, 3)
-        float64 px, NaN where not known; where known ``baseline_m``, ``doffs_px`` and ``depth_m`` (H, W) float32.
+        float64 px, NaN where not known; where known ``distortion`` (n,) OpenCV coefficients, ``baseline_m``,
+        ``doffs_px``, ``depth_m`` (H, W) float32 and its standard deviation ``depth_std_m`` (H, W) float32.
     """
     arrays: dict[str, NDArray[np.generic]] = {
         "format": np.array(NPZ_FORMAT),
@@ -114,6 +115,10 @@ def npz_arrays(result: DepthResult) -> dict[str, NDArray[np.generic]]:
     if result.depth_m is not None:
         arrays["depth_m"] = result.depth_m.astype(np.float32)
         arrays["doffs_px"] = np.array(result.doffs_px)
+    if result.depth_std_m is not None:
+        arrays["depth_std_m"] = result.depth_std_m.astype(np.float32)
+    if result.distortion is not None and result.distortion.size:
+        arrays["distortion"] = result.distortion.astype(np.float64)
     return arrays
 
 

@@ -88,7 +88,7 @@ def test_a_perfect_rig_keeps_the_tele_photo_as_it_is() -> None:
     geometry = rectified_geometry(rig, disparity_margin_px=100)
     assert geometry.hw == (3024, 4032 + 100)
     points_px = np.array([[0.0, 0.0], [4031.0, 3023.0], [17.5, 33.25]])
-    np.testing.assert_allclose(geometry.ref_from_tele(points_px), points_px + [100, 0], atol=1e-6)
+    np.testing.assert_allclose(geometry.ref_from_tele(points_px), points_px + np.array([100, 0]), atol=1e-6)
 
 
 @pytest.mark.parametrize("place", PLACES)

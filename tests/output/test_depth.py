@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from rigs import phone
 
 from telewide.capture.facts import CaptureFacts
 from telewide.geometry.stereo import DisparityMap
-from telewide.output.depth import depth_result
+from telewide.output.depth import depth_result, depth_result_of_rig
+from telewide.output.metric import DepthPrecision
 
 
 @pytest.fixture
@@ -42,3 +46,26 @@ def test_principal_point_is_the_centre_of_the_pixel_grid(disparity: DisparityMap
     assert result.K is not None
     # The centre of a map whose first pixel centre is (0, 0) maps onto itself when the map is mirrored.
     np.testing.assert_allclose(result.K, [[900, 0, 17 - result.K[0, 2]], [0, 900, 11 - result.K[1, 2]], [0, 0, 1]])
+
+
+def test_a_rig_gives_metres_and_how_sure_they_are(disparity: DisparityMap) -> None:
+    rig = phone("vertical", shrink=250)
+    result = depth_result_of_rig("a", disparity, rig=rig, precision=DepthPrecision(lens_shift_std_px=1.0))
+    assert result.depth_m is not None
+    assert result.depth_std_m is not None
+    known = disparity.valid
+    expected_m = rig.tele.K[0, 0] * rig.baseline_m / disparity.disparity_px[known]
+    np.testing.assert_allclose(result.depth_m[known], expected_m, rtol=1e-5)
+    assert (result.depth_std_m[known] > expected_m**2 / (rig.tele.K[0, 0] * rig.baseline_m)).all()
+    np.testing.assert_array_equal(np.isnan(result.depth_std_m), ~known)
+    exact = depth_result_of_rig("a", disparity, rig=rig)
+    assert exact.depth_std_m is not None
+    assert (exact.depth_std_m[known] < result.depth_std_m[known]).all()
+    np.testing.assert_array_equal(result.distortion, rig.tele.distortion)
+
+
+def test_a_rig_without_scale_gives_no_metres(disparity: DisparityMap) -> None:
+    rig = replace(phone(shrink=250), is_scale_known=False)
+    result = depth_result_of_rig("a", disparity, rig=rig)
+    assert (result.baseline_m, result.depth_m, result.depth_std_m) == (None, None, None)
+    np.testing.assert_array_equal(result.K, rig.tele.K)

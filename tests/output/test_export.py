@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rigs import phone
 
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.images import read_pfm
 from telewide.geometry.stereo import DisparityMap, FloatMap
-from telewide.output.depth import DepthResult, depth_result
+from telewide.output.depth import DepthResult, depth_result, depth_result_of_rig
 from telewide.output.export import png_from_disparity, write_depth
 
 HW = (40, 56)
@@ -94,6 +95,20 @@ def test_npz_says_what_is_not_known(tmp_path: Path, disparity_px: FloatMap) -> N
     with np.load(tmp_path / "depth.npz") as stored:
         assert set(stored) == {"format", "disparity", "confidence", "valid", "K"}
         assert np.isnan(stored["K"]).all()
+
+
+def test_npz_of_a_rig_says_how_sure_it_is(tmp_path: Path, disparity_px: FloatMap) -> None:
+    rig = phone(shrink=72)
+    result = depth_result_of_rig("capture", result_of(disparity_px).disparity, rig=rig)
+    write_depth(tmp_path, result)
+    with np.load(tmp_path / "depth.npz") as stored:
+        metric = {"baseline_m", "doffs_px", "depth_m", "depth_std_m"}
+        assert set(stored) == {"format", "disparity", "confidence", "valid", "K", "distortion"} | metric
+        recomputed_m = stored["K"][0, 0] * stored["baseline_m"] / (stored["disparity"] + stored["doffs_px"])
+        np.testing.assert_allclose(stored["depth_m"], recomputed_m, rtol=1e-5)
+        np.testing.assert_array_equal(np.isnan(stored["depth_std_m"]), np.isnan(stored["depth_m"]))
+        np.testing.assert_array_equal(stored["depth_std_m"], result.depth_std_m)
+        np.testing.assert_array_equal(stored["distortion"], rig.tele.distortion)
 
 
 def test_same_result_gives_the_same_bytes(tmp_path: Path, disparity_px: FloatMap) -> None:
