@@ -21,6 +21,7 @@ import typer
 
 from telewide.cli_benchmark import benchmark_app
 from telewide.errors import TelewideError, UsageError
+from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
     from telewide.output.bokeh_picture import BokehOptions
@@ -263,10 +264,10 @@ def _told(error: BaseException) -> _Failure:
 def _observer(*, is_quiet: bool, shows_table: bool = True) -> Iterator[ConsoleObserver]:
     from rich.console import Console
 
-    from telewide.pipeline import is_writer
     from telewide.progress import ConsoleObserver
 
-    observer = ConsoleObserver(Console(stderr=True), is_quiet=is_quiet or not is_writer(), shows_table=shows_table)
+    console = Console(stderr=True, quiet=not this_process().is_writer)
+    observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table)
     try:
         yield observer
     finally:
@@ -281,7 +282,8 @@ def _check_device(device: str) -> None:
 def _depth_options(
     *, method: str, weights: Path | None, bokeh: BokehOptions | None, out: Path | None, device: str
 ) -> DepthOptions:
-    from telewide.pipeline import METHODS, DepthOptions
+    from telewide.matcher import METHODS
+    from telewide.pipeline import DepthOptions
 
     _check_device(device)
     if method not in METHODS:
@@ -326,4 +328,6 @@ def _json_of_depth(done: DepthRun) -> dict[str, object]:
 
 
 def _print_json(content: dict[str, object]) -> None:
-    typer.echo(json.dumps(content, ensure_ascii=False))
+    """Print the one object of a command, however many processes worked on it."""
+    if this_process().is_writer:
+        typer.echo(json.dumps(content, ensure_ascii=False))

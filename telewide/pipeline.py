@@ -3,123 +3,37 @@
     captures ── prepare (correct each shot) ── train (rehearsal ► photometric ► feature-metric stages) ── weights
                          └────────────────────── match ── follow tele's edges ── depth ── bokeh ── files
 
-Only this module and `prepare` know the run folder. Whoever calls hears of the progress through an :class:`Observer`.
+Only this module, `prepare`, `train` and `matcher` know the run folder. Whoever calls hears of the progress through an
+:class:`Observer`. Started by ``torchrun``, every process prepares and matches its share of the captures, all train
+together, and each comes to know the results of all.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from telewide.capture.images import write_image
-from telewide.capture.pair import CaptureFacts, CaptureSet, Problem, find_captures, read_pair, read_truth
+from telewide.capture.pair import CaptureSet, Problem, find_captures, read_pair
 from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
-from telewide.correction.held_out import match_errors_px, summarise_errors
-from telewide.correction.inspect import PairReport
 from telewide.errors import InputError, UsageError
-from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
-from telewide.matching.semiglobal import match_semiglobal
-from telewide.metrics import end_point_error_px, three_pixel_error
+from telewide.matcher import Matcher, choose_matcher
+from telewide.observer import Observer
 from telewide.options import parse_options
-from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bokeh
-from telewide.output.depth import depth_result
-from telewide.output.edges import follow_edges
-from telewide.output.export import write_depth
-from telewide.output.kept import KEPT_NAME, KeptDepth, read_kept, write_kept
+from telewide.output.bokeh_picture import BokehOptions, check_bokeh
+from telewide.output.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
 from telewide.page import report_row, write_page
 from telewide.prepare import PreparedPair, PreparedSet, prepare_captures
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from telewide.training.processes import Processes, joined_processes
 
 if TYPE_CHECKING:
-    from telewide.matching.networks import StereoNetwork
     from telewide.train import TrainOutcome
-    from telewide.training.processes import Processes
-    from telewide.training.stages import Stage
-
-Matcher = Callable[[FloatMap, FloatMap], DisparityMap]
-METHODS = ("network", "sgm")
-
-
-class Observer(Protocol):
-    """Hears what a pipeline does; its first five are what the training loop tells its reporter."""
-
-    def stage_started(self, stage: Stage, *, first_step: int) -> None:
-        """A stage of the training begins, or goes on at ``first_step``."""
-
-    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
-        """``step`` steps of the stage are done."""
-
-    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        """The held-out matches were asked."""
-
-    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
-        """A stage is done."""
-
-    def said(self, message: str) -> None:
-        """Something worth a line."""
-
-    def preparing(self, captures: CaptureSet) -> None:
-        """The captures of a set are about to be corrected."""
-
-    def pair_prepared(self, report: PairReport | None) -> None:
-        """One capture is corrected, or left out."""
-
-    def set_prepared(self, prepared: PreparedSet) -> None:
-        """All captures are corrected."""
-
-    def labelling(self, total: int) -> Callable[[], None]:
-        """Labels of ``total`` captures are about to be computed; the answer is called after each."""
-
-    def matching(self, total: int, *, method: str) -> None:
-        """``total`` captures are about to be matched."""
-
-    def depth_written(self, outcome: DepthOutcome) -> None:
-        """One capture's depth is written."""
-
-    def depth_failed(self, problem: Problem) -> None:
-        """One capture was skipped."""
-
-
-@dataclass(frozen=True)
-class DepthOutcome:
-    """What was made of one capture.
-
-    Attributes:
-        name: of the capture.
-        paths: files written.
-        notes: what was left out, and why.
-        numbers: seconds, shares of held-out matches missed, errors against a truth where the set has one.
-    """
-
-    name: str
-    paths: tuple[Path, ...]
-    notes: tuple[str, ...]
-    numbers: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class DepthRun:
-    """What was made of a set.
-
-    Attributes:
-        folder: where it lies.
-        outcomes: one a capture.
-        problems: captures left out, and why.
-        report: the report page, where one was written.
-    """
-
-    folder: Path
-    outcomes: tuple[DepthOutcome, ...]
-    problems: tuple[Problem, ...]
-    report: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -139,6 +53,23 @@ class DepthOptions:
     bokeh: BokehOptions | None = None
     out: Path | None = None
     device: str = "auto"
+
+
+@dataclass(frozen=True)
+class DepthRun:
+    """What was made of a set, by all processes together.
+
+    Attributes:
+        folder: where it lies.
+        outcomes: one a capture, sorted by name.
+        problems: captures left out, and why.
+        report: the report page, where this process wrote one.
+    """
+
+    folder: Path
+    outcomes: tuple[DepthOutcome, ...]
+    problems: tuple[Problem, ...]
+    report: Path | None = None
 
 
 def train_captures(
@@ -161,35 +92,8 @@ def train_captures(
         TelewideError: see `prepare_captures` and `train_prepared`.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
-    from telewide.matching.inference import choose_device
-    from telewide.train import train_prepared
-    from telewide.training.processes import joined_processes
-
-    torch_device = choose_device(device)
-    folder = locate_run(run, captures_root)
-    begun_s = time.monotonic()
-    with joined_processes(torch_device) as processes:
-        prepared = _prepare(captures_root, folder, recipe, observer, processes=processes)
-        prepared_s = time.monotonic()
-        outcome = train_prepared(
-            prepared,
-            folder,
-            recipe=recipe,
-            fresh=fresh,
-            device=torch_device,
-            processes=processes,
-            reporter=observer,
-            labelling=observer.labelling,
-        )
-    if is_writer():
-        write_run_record(
-            folder,
-            command="train",
-            options=recipe.model_dump(mode="json"),
-            inputs=_inputs(prepared),
-            timings={"prepare": prepared_s - begun_s, "train": time.monotonic() - prepared_s},
-        )
-    return outcome
+    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer) as call:
+        return _train(call, _prepare(call), fresh=fresh)
 
 
 def depth_captures(
@@ -211,61 +115,13 @@ def depth_captures(
         InputError: no capture could be used.
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
-    folder = locate_run(run, captures_root)
-    captures = find_captures(captures_root)
-    check_bokeh(options.bokeh, captures)
-    matcher_for, matcher_key = _choose_matcher(folder, options)
-    out = options.out or folder.depth
-    _make_folder(out)
-    prepared = _prepare_together(captures_root, folder, recipe, observer)
-    rank, world = rank_and_world()
-    mine = prepared.pairs[rank::world]
-    observer.matching(len(mine), method=options.method)
-    match = matcher_for(prepared)
-    begun_s = time.monotonic()
-    outcomes, problems, n_kept = [], list(prepared.problems), 0
-    failure: InputError | UsageError | None = None
-    for item in mine:
-        place, key = out / item.capture.name, _depth_key(item, prepared, options, matcher_key=matcher_key)
-        try:
-            done = kept = read_kept(place, key)
-            if done is None:
-                (place / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
-                done = _depth_of(item, prepared.facts, match, bokeh=options.bokeh, folder=place)
-                write_kept(place, done, key=key)
-        except (InputError, UsageError) as error:
-            failure = error
-            problems.append(Problem(item.capture.name, error.message))
-            observer.depth_failed(problems[-1])
-            continue
-        n_kept += kept is not None
-        outcomes.append(
-            DepthOutcome(item.source.name, tuple(place / name for name in done.files), done.notes, done.numbers)
-        )
-        observer.depth_written(outcomes[-1])
-    if failure is not None and not outcomes:
-        message = f"{captures_root}: no depth could be computed; {problems[-1].name}: {failure.message}"
-        raise type(failure)(message, hint=failure.hint)
-    if n_kept:
-        observer.said(f"{n_kept} of {len(outcomes)} captures are as they were: same photos, same weights, same options")
-    if is_writer():
-        write_run_record(
-            folder,
-            command="depth",
-            options={"method": options.method, "weights": str(options.weights or "newest of the run")},
-            inputs=_inputs(prepared),
-            timings={"depth": time.monotonic() - begun_s},
-        )
-    return DepthRun(out, tuple(outcomes), tuple(problems))
-
-
-def _make_folder(folder: Path) -> None:
-    """Say before the work, not after it, that a place cannot be written."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise UsageError(f"{folder} cannot be made: {reason}", hint="name another folder with --out") from error
+    device = "cpu" if options.method == "sgm" else options.device
+    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer) as call:
+        # What can be refused is refused before any photo is read.
+        check_bokeh(options.bokeh, call.captures)
+        matcher = _matcher(call, options)
+        _make_folder(options.out or call.folder.depth)
+        return _depth(call, _prepare(call), matcher, options=options)
 
 
 def run_captures(
@@ -286,19 +142,12 @@ def run_captures(
     Raises:
         TelewideError: see `train_captures` and `depth_captures`.
     """
-    folder = locate_run(run, captures_root)
-    check_bokeh(options.bokeh, find_captures(captures_root))
-    train_captures(captures_root, run=folder.root, recipe=recipe, fresh=False, device=options.device, observer=observer)
-    done = depth_captures(captures_root, run=folder.root, recipe=recipe, options=options, observer=observer)
-    captures = {capture.name: capture for capture in find_captures(captures_root).captures}
-    rows = (
-        report_row(
-            read_pair(captures[outcome.name]), done.folder / outcome.name, root=folder.root, numbers=outcome.numbers
-        )
-        for outcome in done.outcomes
-    )
-    page = write_page(folder, rows, recipe=recipe.description, captures=captures_root)
-    return replace(done, report=page)
+    with _begun(captures_root, run=run, recipe=recipe, device=options.device, observer=observer) as call:
+        check_bokeh(options.bokeh, call.captures)
+        prepared = _prepare(call)
+        _train(call, prepared, fresh=False)
+        done = _depth(call, prepared, _matcher(call, options), options=options)
+        return replace(done, report=_report(call, done)) if call.processes.is_writer else done
 
 
 def recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
@@ -316,52 +165,122 @@ def recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
         raise InputError(f"{path} is damaged", hint="train again with --fresh") from error
 
 
-def _prepare(
-    captures_root: Path, folder: RunFolder, recipe: Recipe, observer: Observer, *, processes: Processes | None = None
-) -> PreparedSet:
-    """Correct the pairs; of several processes the writer does, and the others find them done."""
-    captures = find_captures(captures_root)
-    observer.preparing(captures)
-    if processes is not None and not processes.is_writer:
-        processes.wait()
-    prepared = prepare_captures(captures, folder, recipe=recipe, tick=observer.pair_prepared)
-    if processes is not None and processes.is_writer:
-        processes.wait()
-    observer.set_prepared(prepared)
+@dataclass(frozen=True)
+class _Call:
+    """What the stages of one call share."""
+
+    captures: CaptureSet
+    folder: RunFolder
+    recipe: Recipe
+    device: str
+    processes: Processes
+    observer: Observer
+    begun_s: float = field(default_factory=time.monotonic)
+
+
+@contextmanager
+def _begun(
+    captures_root: Path, *, run: Path | None, recipe: Recipe, device: str, observer: Observer
+) -> Iterator[_Call]:
+    folder, captures = locate_run(run, captures_root), find_captures(captures_root)
+    with joined_processes(device) as processes:
+        yield _Call(captures, folder, recipe, device, processes, observer)
+
+
+def _prepare(call: _Call) -> PreparedSet:
+    """Correct the pairs; of several processes each does its share, and then finds those of the others done."""
+    captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
+    call.observer.preparing(captures)
+    if call.processes.world == 1:
+        prepared = prepare_captures(captures, call.folder, recipe=recipe, tick=heard)
+    else:
+        mine = replace(captures, captures=call.processes.share(captures.captures))
+        with suppress(InputError):  # an empty share, or none of it fit for use, which is said of all together
+            prepare_captures(mine, call.folder, recipe=recipe, tick=heard)
+        call.processes.wait()
+        prepared = prepare_captures(captures, call.folder, recipe=recipe)
+    call.observer.set_prepared(prepared)
     return prepared
 
 
-def _prepare_together(captures_root: Path, folder: RunFolder, recipe: Recipe, observer: Observer) -> PreparedSet:
-    if rank_and_world()[1] == 1:
-        return _prepare(captures_root, folder, recipe, observer)
+def _train(call: _Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
     from telewide.matching.inference import choose_device
-    from telewide.training.processes import joined_processes
+    from telewide.train import train_prepared
 
-    with joined_processes(choose_device("cpu")) as processes:
-        return _prepare(captures_root, folder, recipe, observer, processes=processes)
+    prepared_s = time.monotonic()
+    outcome = train_prepared(
+        prepared,
+        call.folder,
+        recipe=call.recipe,
+        fresh=fresh,
+        device=choose_device(call.device),
+        processes=call.processes,
+        reporter=call.observer,
+        labelling=call.observer.labelling,
+    )
+    timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
+    _record(call, prepared, command="train", options=call.recipe.model_dump(mode="json"), timings=timings)
+    return outcome
 
 
-def _choose_matcher(folder: RunFolder, options: DepthOptions) -> tuple[Callable[[PreparedSet], Matcher], str]:
-    """Matcher and what tells it from others; say at once, before any photo is read, when there is none."""
-    if options.method == "sgm":
-        return lambda prepared: lambda ref, src: match_semiglobal(ref, src, window=prepared.window), "sgm"
-    from telewide.matching.inference import choose_device, match_with_network
-    from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
+def _matcher(call: _Call, options: DepthOptions) -> Matcher:
+    matcher = choose_matcher(call.folder, method=options.method, weights=options.weights, device=options.device)
+    if matcher.doubt is not None:
+        call.observer.said(matcher.doubt)
+    return matcher
 
-    path = options.weights or folder.train / WEIGHTS_NAME
-    if not path.is_file():
-        missing = f"{path} does not exist" if options.weights else f"{folder.root} holds no trained network"
-        raise UsageError(
-            missing,
-            hint="train one with: telewide train captures/  or match at once, untrained: telewide depth --method sgm",
-        )
-    network, card = load_weights(path, device=choose_device(options.device))
-    key = fingerprint(path)
-    return lambda _prepared: lambda ref, src: match_with_network(ref, src, network=network, window=card.window), key
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UsageError(f"{folder} cannot be made: {reason}", hint="name another folder with --out") from error
+
+
+def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
+    """Depth of this process' share, told as it comes; then the others' results, told by the writer alone."""
+    processes, begun_s = call.processes, time.monotonic()
+    call.observer.matching(len(prepared.pairs), method=options.method)
+    mine: list[DepthOutcome | DepthFailure] = []
+    for item in processes.share(prepared.pairs):
+        mine.append(_depth_of(item, call, prepared, matcher=matcher, options=options))
+        _tell(call.observer, mine[-1])
+    results = processes.gathered(tuple(mine))
+    for index, result in enumerate(results):
+        if processes.is_writer and index % processes.world != processes.rank:
+            _tell(call.observer, result)
+    outcomes = tuple(result for result in results if isinstance(result, DepthOutcome))
+    failures = [result for result in results if isinstance(result, DepthFailure)]
+    if not outcomes:
+        raise failures[-1].of_all(call.captures.root)
+    n_kept = sum(outcome.is_kept for outcome in outcomes)
+    if n_kept:
+        same = "same photos, same weights, same options"
+        call.observer.said(f"{n_kept} of {len(outcomes)} captures are as they were: {same}")
+    asked = {"method": options.method, "weights": str(options.weights or "newest of the run")}
+    _record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
+    problems = (*prepared.problems, *(failure.problem for failure in failures))
+    return DepthRun(options.out or call.folder.depth, outcomes, problems)
+
+
+def _depth_of(
+    item: PreparedPair, call: _Call, prepared: PreparedSet, *, matcher: Matcher, options: DepthOptions
+) -> DepthOutcome | DepthFailure:
+    """Match one pair, bring the result to the photo's own size and edges, and write it."""
+    return depth_of_capture(
+        item.source,
+        item.held_out,
+        (options.out or call.folder.depth) / item.capture.name,
+        facts=prepared.facts,
+        match=lambda ref, src: matcher.match(ref, src, window=matcher.window or prepared.window),
+        bokeh=options.bokeh,
+        key=_depth_key(item, prepared, matcher, options=options),
+    )
 
 
 def _depth_key(
-    item: PreparedPair, prepared: PreparedSet, options: DepthOptions, *, matcher_key: str
+    item: PreparedPair, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions
 ) -> dict[str, object]:
     """What the files of one capture depend on; the pair's record names photos, facts and correction."""
     truth = item.source.truth_path
@@ -369,61 +288,38 @@ def _depth_key(
         "version": metadata.version("telewide"),
         "pair_sha256": fingerprint(item.capture.tele_path.with_name("pair.json")),
         "truth_sha256": None if truth is None else fingerprint(truth),
-        "matcher": matcher_key,
-        "window": prepared.window if options.method == "sgm" else None,  # a network brings its own
+        "matcher": matcher.key,
+        "window": None if matcher.window else prepared.window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
     }
 
 
-def _depth_of(
-    item: PreparedPair, facts: CaptureFacts, match: Matcher, *, bokeh: BokehOptions | None, folder: Path
-) -> KeptDepth:
-    """Match one pair, bring the result to the photo's own size and edges, and write it."""
-    begun_s = time.monotonic()
-    pair = read_pair(item.capture)
-    working = match(pair.tele, pair.wide)
-    matched_s = time.monotonic()
-    photo = read_pair(item.source, facts=facts).tele
-    disparity = _on_photo(working, photo)
-    result = depth_result(item.source.name, disparity, facts=facts)
-    written = write_depth(folder, result, image=photo)
-    paths = list(written.paths)
-    if bokeh is not None:
-        paths.append(folder / "bokeh.jpg")
-        write_image(paths[-1], bokeh_picture(photo, disparity, options=bokeh, baseline_m=facts.baseline_m))
-    numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s}
-    numbers |= summarise_errors(match_errors_px(working.disparity_px, item.held_out))
-    truth_px = read_truth(item.source, hw=disparity.disparity_px.shape[:2])
-    if truth_px is not None:
-        numbers["3PE"] = three_pixel_error(disparity.disparity_px, truth_px)
-        numbers["EPE_px"] = end_point_error_px(disparity.disparity_px, truth_px)
-    return KeptDepth(tuple(path.name for path in paths), written.notes, numbers)
+def _tell(observer: Observer, result: DepthOutcome | DepthFailure) -> None:
+    if isinstance(result, DepthOutcome):
+        observer.depth_written(result)
+    else:
+        observer.depth_failed(result.problem)
 
 
-def _on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
-    """Bring a map to the photo's size, and its edges to the photo's edges."""
-    wh = (photo.shape[1], photo.shape[0])
-    disparity_px, confidence, valid = working.disparity_px, working.confidence, working.valid
-    if disparity_px.shape != photo.shape[:2]:
-        rows, columns = (
-            np.minimum(np.arange(size) * small // size, small - 1)
-            for size, small in zip(photo.shape[:2], disparity_px.shape, strict=True)
+def _report(call: _Call, done: DepthRun) -> Path:
+    """The report page of all captures."""
+    captures = {capture.name: capture for capture in call.captures.captures}
+    rows = (
+        report_row(
+            read_pair(captures[outcome.name]),
+            done.folder / outcome.name,
+            root=call.folder.root,
+            numbers=outcome.numbers,
         )
-        disparity_px = resize_disparity(disparity_px, wh=wh)
-        confidence, valid = confidence[np.ix_(rows, columns)], valid[np.ix_(rows, columns)]
-    followed_px = follow_edges(disparity_px, photo, confidence=confidence, valid=valid)
-    return DisparityMap(followed_px, confidence, valid)
+        for outcome in done.outcomes
+    )
+    return write_page(call.folder, rows, recipe=call.recipe.description, captures=call.captures.root)
 
 
-def rank_and_world() -> tuple[int, int]:
-    """This process among those ``torchrun`` started: (rank, world); (0, 1) without it."""
-    return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-
-
-def is_writer() -> bool:
-    """Whether this process writes what is written once."""
-    return rank_and_world()[0] == 0
-
-
-def _inputs(prepared: PreparedSet) -> list[Path]:
-    return [path for item in prepared.pairs for path in (item.source.tele_path, item.source.wide_path)]
+def _record(
+    call: _Call, prepared: PreparedSet, *, command: str, options: Mapping[str, object], timings: Mapping[str, float]
+) -> None:
+    """Note in ``run.json`` what was done."""
+    if call.processes.is_writer:
+        inputs = [path for item in prepared.pairs for path in (item.source.tele_path, item.source.wide_path)]
+        write_run_record(call.folder, command=command, options=options, inputs=inputs, timings=timings)

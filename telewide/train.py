@@ -109,12 +109,36 @@ def train_prepared(
     """
     plan = plan_stages(recipe.train)
     if not plan:
-        raise UsageError(
-            "the recipe has no stage with steps", hint="set train.rehearsal.steps or train.photometric.steps"
-        )
+        raise UsageError("the recipe has no stage with steps", hint="set train.rehearsal.steps above 0")
     if fresh and processes.is_writer:
         _forget(run)
     processes.wait()
+    record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=reporter)
+    if state.is_finished:
+        return _outcome(run, plan, state, is_new=False)
+    if processes.is_writer:
+        _write_record(run, record)
+        _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
+    if any(stage.needs_labels for stage in plan[state.stage_index :]):
+        names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
+        write_labels(prepared, names=processes.share(names), tick=labelling(len(prepared.pairs)))
+    processes.wait()
+    training = _training(prepared, run, record, recipe, device=device, processes=processes)
+    logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
+    train(training, state, reporter=logged)
+    return _outcome(run, plan, state, is_new=True)
+
+
+def _take_up(
+    prepared: PreparedSet,
+    run: RunFolder,
+    plan: Sequence[Stage],
+    *,
+    recipe: Recipe,
+    device: torch.device,
+    reporter: Reporter,
+) -> tuple[TrainingRecord, TrainingState]:
+    """The training that lies in a run folder, and what is new to it; or a new one."""
     kept = read_record(run)
     record = _agreed_record(kept, prepared, recipe)
     state = _state_for(run, recipe, device)
@@ -123,19 +147,7 @@ def train_prepared(
         if grown:
             _reopen(state)
         reporter.said(_where_it_stands(run, plan, state, grown=grown))
-    if state.is_finished:
-        return _outcome(run, plan, state, is_new=False)
-    if processes.is_writer:
-        _write_record(run, record)
-        _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
-    if any(stage.needs_labels for stage in plan[state.stage_index :]) and processes.is_writer:
-        names = [item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out]
-        write_labels(prepared, names=names, tick=labelling(len(names)))
-    processes.wait()
-    training = _training(prepared, run, record, recipe, device=device, processes=processes)
-    logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
-    train(training, state, reporter=logged)
-    return _outcome(run, plan, state, is_new=True)
+    return record, state
 
 
 def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:

@@ -198,6 +198,18 @@ def test_json_is_one_object_on_errors(
     assert set(answer) == {"error", "hint", "exit_code"}
 
 
+@pytest.mark.parametrize(("rank", "objects"), [("0", 1), ("1", 0)])
+def test_of_several_processes_one_answers(
+    rank: str, objects: int, captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RANK", rank)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert run_cli("depth", "nowhere", "--json") == 2
+    told = capsys.readouterr()
+    assert len(told.out.splitlines()) == objects
+    assert "nowhere does not exist" in told.err, "an error is said by whoever has it"
+
+
 def test_depth_by_its_defaults(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_cli("depth", "--method", "sgm", "--json") == 0
     told = capsys.readouterr()

@@ -74,7 +74,7 @@ def main(out: Path, pairs: Path) -> None:
     folders = sorted(path for path in pairs.iterdir() if path.is_dir())
     captures = tuple(Capture(path.name, path / "tele.png", path / "wide.png") for path in folders)
     source = source_of(captures, labels=pairs)
-    with joined_processes(CPU) as processes:
+    with joined_processes("cpu") as processes:
         torch.save(joint_gradients(source, processes), out / f"gradients{processes.rank}.pt")
         heard = short_training(out / f"train{processes.rank}", source, processes)
         (out / f"heard{processes.rank}.json").write_text(json.dumps(heard))

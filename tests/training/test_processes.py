@@ -64,22 +64,79 @@ def test_two_processes_are_one(tmp_path: Path, repo: Path, labelled: Path) -> No
         assert parts == pytest.approx(expected_parts, rel=1e-3)
 
 
-def test_captures_are_shared_among_processes(tmp_path: Path, repo: Path) -> None:
-    write_captures(tmp_path / "captures", count=3, seed=1, hw=(128, 192), factor=2)
-    done = torchrun(
-        "-m", "telewide", "depth", "captures", "--method", "sgm", "--out", "depth", "--json", cwd=tmp_path, repo=repo
-    )
+@pytest.fixture
+def captures(tmp_path: Path) -> Path:
+    """Three captures of which the second, in the other process' share, is torn, and the fourth is good."""
+    write_captures(tmp_path / "captures", count=4, seed=1, hw=(128, 192), factor=2)
+    (tmp_path / "captures" / "001" / "tele.png").write_bytes(b"torn")
+    return tmp_path / "captures"
+
+
+def answer_of(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
+    """The one object that all processes together print."""
     assert done.returncode == 0, done.stderr[-3000:]
-    answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    names = [capture["name"] for answer in answers for capture in answer["captures"]]
-    assert sorted(names) == ["000", "001", "002"], "each capture exactly once"
-    assert len(answers) == 2
-    assert all((tmp_path / "depth" / name / "disparity.pfm").is_file() for name in names)
+    assert len(done.stdout.splitlines()) == 1
+    return json.loads(done.stdout)
+
+
+def test_captures_are_shared_among_processes(tmp_path: Path, repo: Path, captures: Path) -> None:
+    """Both write their share, one answers for both: what one process alone would write and answer."""
+    words = ("-m", "telewide", "depth", "captures", "--method", "sgm", "--json")
+    done = torchrun(*words, "--out", "shared", cwd=tmp_path, repo=repo)
+    answer = answer_of(done)
+    assert done.stderr.count("4 captures in captures") == 1, "one process speaks"
+    assert done.stderr.count("skipped: 001") == 1
+    alone = answer_of(torchrun(*words, "--out", "alone", cwd=tmp_path, repo=repo, processes=1))
+    for one, other in zip(answer["captures"], alone["captures"], strict=True):
+        assert one["name"] == other["name"]
+        assert [Path(file).name for file in one["files"]] == [Path(file).name for file in other["files"]]
+        for file, same in zip(one["files"], other["files"], strict=True):
+            if file.endswith(".pfm"):
+                assert (tmp_path / file).read_bytes() == (tmp_path / same).read_bytes()
+    assert [capture["name"] for capture in answer["captures"]] == ["000", "002", "003"]
+    assert answer["problems"] == alone["problems"]
+
+
+def test_a_capture_that_fails_in_the_other_process_is_answered_for(tmp_path: Path, repo: Path, captures: Path) -> None:
+    """A truth that cannot be used is found while depth is computed: 003 falls to the second of two, after 000, 002."""
+    words = ("-m", "telewide", "depth", "captures", "--method", "sgm", "--json")
+    (captures / "002" / "truth.pfm").write_bytes(b"torn")
+    done = torchrun(*words, cwd=tmp_path, repo=repo)
+    answer = answer_of(done)
+    assert [capture["name"] for capture in answer["captures"]] == ["000", "003"]
+    assert [problem["name"] for problem in answer["problems"]] == ["001", "002"]
+    assert done.stderr.count("skipped: 002") == 1
+    for name in ("000", "003"):
+        (captures / name / "truth.pfm").write_bytes(b"torn")
+    assert torchrun(*words, cwd=tmp_path, repo=repo).returncode != 0, "nothing is left"
+
+
+def test_the_report_of_several_processes_shows_all_captures(tmp_path: Path, repo: Path) -> None:
+    write_captures(tmp_path / "captures", count=3, seed=1, hw=(96, 144), factor=2)
+    settings = ("train.rehearsal.steps=2", "train.feature.steps=1", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
+    words = tuple(word for setting in settings for word in ("--set", setting))
+    done = torchrun(
+        *("-m", "telewide", "run", "captures", "--recipe", "quick", "--device", "cpu", "--json", *words),
+        cwd=tmp_path,
+        repo=repo,
+    )
+    answer = answer_of(done)
+    assert [capture["name"] for capture in answer["captures"]] == ["000", "001", "002"]
+    page = (tmp_path / str(answer["report"])).read_text()
+    for name in ("000", "001", "002"):
+        assert f"depth/{name}/preview.png" in page
+
+
+def test_shares_are_disjoint_and_all() -> None:
+    values = tuple(range(7))
+    shares = [Processes(rank, 3).share(values) for rank in range(3)]
+    assert sorted(sum(shares, ())) == list(values)
+    assert Processes().gathered(Processes().share(values)) == values
 
 
 def test_one_process_needs_no_group(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WORLD_SIZE", raising=False)
-    with joined_processes(torch.device("cpu")) as processes:
+    with joined_processes("cpu") as processes:
         assert processes.is_writer
         value = torch.tensor([1.0, 2.0])
         assert processes.global_sum(value) is value

@@ -1,0 +1,102 @@
+"""What matches two corrected views: semi-global matching, or the network of a weights file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from telewide.capture.rundir import RunFolder, fingerprint
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.matching.semiglobal import match_semiglobal
+from telewide.matching.window import Window
+from telewide.options import parse_options
+from telewide.recipe import Recipe
+
+if TYPE_CHECKING:
+    from telewide.training.checkpoint import WeightsCard
+
+METHODS = ("network", "sgm")
+
+
+class Match(Protocol):
+    """Makes disparity of two views."""
+
+    def __call__(self, ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+        """Match views (H, W, 3) in [0, 1] within a window, px; the disparity is ref's."""
+
+
+@dataclass(frozen=True)
+class Matcher:
+    """A way to match.
+
+    Attributes:
+        match: (ref, src, window) to the disparity of ref.
+        key: what tells it from others.
+        window: disparities it was trained for, px; None where the pairs decide.
+        doubt: what is to be said before it is used.
+    """
+
+    match: Match
+    key: str
+    window: Window | None = None
+    doubt: str | None = None
+
+
+def choose_matcher(run: RunFolder, *, method: str, weights: Path | None, device: str) -> Matcher:
+    """Take a matcher by name; a network is read.
+
+    Args:
+        run: whose newest weights are taken where none are named.
+        method: one of `METHODS`.
+        weights: a weights file, or None.
+        device: of a network: auto, cpu or cuda.
+
+    Returns:
+        The matcher; its doubt tells of weights whose training is not finished.
+
+    Raises:
+        UsageError: there are no weights.
+        InputError: the weights cannot be read.
+        MissingPartError: cuda was asked for and is not there.
+    """
+    if method == "sgm":
+        return Matcher(match_semiglobal, "sgm")
+    from telewide.matching.inference import choose_device, match_with_network
+    from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
+
+    path = weights or run.train / WEIGHTS_NAME
+    if not path.is_file():
+        missing = f"{path} does not exist" if weights else f"{run.root} holds no trained network"
+        raise UsageError(
+            missing,
+            hint="train one with: telewide train captures/  or match at once, untrained: telewide depth --method sgm",
+        )
+    network, card = load_weights(path, device=choose_device(device))
+
+    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+        return match_with_network(ref, src, network=network, window=window)
+
+    return Matcher(match, fingerprint(path), card.window, _unfinished(path, card))
+
+
+def _unfinished(weights: Path, card: WeightsCard) -> str | None:
+    """Where the training stands that goes on writing a weights file; None where it is finished, or nothing tells."""
+    from telewide.matching.inference import choose_device
+    from telewide.training.checkpoint import STATE_NAME, WEIGHTS_NAME, load_state
+    from telewide.training.stages import plan_stages
+
+    state_path = weights.with_name(STATE_NAME)
+    if weights.name != WEIGHTS_NAME or not state_path.is_file():
+        return None
+    try:
+        state = load_state(state_path, network_name=card.network, device=choose_device("cpu"))
+        plan = plan_stages(parse_options(Recipe, card.recipe, source=str(weights), error=InputError).train)
+    except InputError:  # the weights are whole all the same; `telewide train` will say what is wrong
+        return None
+    if state.is_finished or state.stage_index >= len(plan):
+        return None
+    stage = plan[state.stage_index]
+    place = f"{stage.name}, step {state.step} of {stage.options.steps}"
+    return f"the training is not finished ({place}): telewide train goes on"

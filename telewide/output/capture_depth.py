@@ -1,0 +1,158 @@
+"""One capture's depth: matched, brought to the photo's own size and edges, written, and measured; or taken as it lies.
+
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from telewide.capture.images import write_image
+from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
+from telewide.correction.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
+from telewide.metrics import end_point_error_px, three_pixel_error
+from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
+from telewide.output.depth import depth_result
+from telewide.output.edges import follow_edges
+from telewide.output.export import write_depth
+from telewide.output.kept import KEPT_NAME, KeptDepth, read_kept, write_kept
+
+Match = Callable[[FloatMap, FloatMap], DisparityMap]
+
+
+@dataclass(frozen=True)
+class DepthOutcome:
+    """What was made of one capture.
+
+    Attributes:
+        name: of the capture.
+        paths: files written.
+        notes: what was left out, and why.
+        numbers: seconds, shares of held-out matches missed, errors against a truth where the set has one.
+        is_kept: whether all of it lay there, made from the same.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    notes: tuple[str, ...]
+    numbers: Mapping[str, float]
+    is_kept: bool = False
+
+
+@dataclass(frozen=True)
+class DepthFailure:
+    """Why there is no depth of one capture.
+
+    Attributes:
+        name: of the capture.
+        error: what was wrong.
+    """
+
+    name: str
+    error: InputError | UsageError
+
+    @property
+    def problem(self) -> Problem:
+        """The capture, as one that was left out."""
+        return Problem(self.name, self.error.message)
+
+    def of_all(self, captures_root: Path) -> InputError | UsageError:
+        """The error of a whole set of which nothing is left."""
+        message = f"{captures_root}: no depth could be computed; {self.name}: {self.error.message}"
+        return type(self.error)(message, hint=self.error.hint)
+
+
+def depth_of_capture(
+    source: Capture,
+    held_out: HeldOut,
+    folder: Path,
+    *,
+    facts: CaptureFacts,
+    match: Match,
+    bokeh: BokehOptions | None,
+    key: Mapping[str, object],
+) -> DepthOutcome | DepthFailure:
+    """Make depth, and bokeh if asked, of one capture, unless the same lies there already.
+
+    Args:
+        source: the photos as taken.
+        held_out: the corrected pair made from them, with the matches to judge by.
+        folder: where the files go.
+        facts: what the owner states.
+        match: (ref, src), both (H, W, 3) in [0, 1], to the disparity of ref.
+        bokeh: None for no bokeh picture.
+        key: everything the files depend on, as plain data.
+
+    Returns:
+        The files, and what was measured; or why there are none, where a photo, the truth or the bokeh asked for
+        cannot be used: one bad capture does not stop the others.
+    """
+    try:
+        lying = made = read_kept(folder, key)
+        if made is None:
+            (folder / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
+            made = _make(source, held_out, folder, facts=facts, match=match, bokeh=bokeh)
+            write_kept(folder, made, key=key)
+    except (InputError, UsageError) as error:
+        return DepthFailure(source.name, error)
+    paths = tuple(folder / name for name in made.files)
+    return DepthOutcome(source.name, paths, made.notes, made.numbers, is_kept=lying is not None)
+
+
+def _make(
+    source: Capture, held_out: HeldOut, folder: Path, *, facts: CaptureFacts, match: Match, bokeh: BokehOptions | None
+) -> KeptDepth:
+    begun_s = time.monotonic()
+    pair = read_pair(held_out.capture)
+    working = match(pair.tele, pair.wide)
+    matched_s = time.monotonic()
+    photo = read_pair(source, facts=facts).tele
+    disparity = on_photo(working, photo)
+    written = write_depth(folder, depth_result(source.name, disparity, facts=facts), image=photo)
+    names = [path.name for path in written.paths]
+    if bokeh is not None:
+        names.append("bokeh.jpg")
+        write_image(folder / names[-1], bokeh_picture(photo, disparity, options=bokeh, baseline_m=facts.baseline_m))
+    numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s}
+    numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
+    return KeptDepth(tuple(names), written.notes, numbers | _errors_of_truth(source, disparity.disparity_px))
+
+
+def _errors_of_truth(source: Capture, disparity_px: FloatMap) -> dict[str, float]:
+    truth_px = read_truth(source, hw=(disparity_px.shape[0], disparity_px.shape[1]))
+    if truth_px is None:
+        return {}
+    return {
+        "3PE": three_pixel_error(disparity_px, truth_px),
+        "EPE_px": end_point_error_px(disparity_px, truth_px),
+    }
+
+
+def on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
+    """Bring a map to the photo's size, and its edges to the photo's edges.
+
+    Args:
+        working: of the size the views were matched in.
+        photo: (H, W, 3) the ref photo, RGB in [0, 1].
+
+    Returns:
+        (H, W) map; disparities are scaled to the photo's px.
+    """
+    wh = (photo.shape[1], photo.shape[0])
+    disparity_px, confidence, valid = working.disparity_px, working.confidence, working.valid
+    if disparity_px.shape != photo.shape[:2]:
+        rows, columns = (
+            np.minimum(np.arange(size) * small // size, small - 1)
+            for size, small in zip(photo.shape[:2], disparity_px.shape, strict=True)
+        )
+        disparity_px = resize_disparity(disparity_px, wh=wh)
+        confidence, valid = confidence[np.ix_(rows, columns)], valid[np.ix_(rows, columns)]
+    followed_px = follow_edges(disparity_px, photo, confidence=confidence, valid=valid)
+    return DisparityMap(followed_px, confidence, valid)
