@@ -236,6 +236,31 @@ def test_depth_takes_the_newest_checkpoint_while_training_goes_on(
     assert disturbed.losses == alone.losses
 
 
+def test_depth_says_that_its_weights_will_be_better(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
+    """Of a training stopped by hand, until it is finished; never of a file that no training goes on writing."""
+    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+
+    def stop(name: str, step: int) -> None:
+        if step == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_training(captures, run, recipe, observer=Observer(after_step=stop))
+
+    def told(weights: Path | None) -> list[str]:
+        heard = Observer()
+        options = DepthOptions(weights=weights, device="cpu")
+        depth_captures(captures, run=run, recipe=recipe, options=options, observer=heard)
+        return [message for message in heard.messages if "training" in message]
+
+    unfinished = ["the training is not finished (rehearsal, step 2 of 4): telewide train goes on"]
+    assert told(None) == told(run / "train" / "weights.safetensors") == unfinished
+    alone = Path(shutil.copy(run / "train" / "weights.safetensors", tmp_path / "weights.safetensors"))
+    assert told(alone) == []
+    run_training(captures, run, recipe)
+    assert told(None) == []
+
+
 # Processes that are stopped
 
 
