@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +15,8 @@ import typer
 from telewide.errors import QualityError, UsageError
 
 if TYPE_CHECKING:
-    from telewide.calibrate import CalibrationRun
+    from telewide.calibration.quality import CalibrationQuality
+    from telewide.calibration.rig_file import StoredRig
     from telewide.progress import ConsoleObserver
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
@@ -29,7 +30,10 @@ SHOW_EPILOG = "Example: `telewide show rig.yaml`"
 def calibrate(
     photos: Annotated[
         Path | None,
-        typer.Argument(metavar="BOARDS", help="Folder of the board photos. [default: boards/]", show_default=False),
+        typer.Argument(
+            metavar="[BOARDS|CAPTURES]",
+            help="Folder of the photos. [default: boards/, or captures/ with --from-scenes]",
+        ),
     ] = None,
     *,
     board: Annotated[
@@ -38,21 +42,44 @@ def calibrate(
     square_m: Annotated[
         float | None, typer.Option(metavar="M", help="Measured side of a square, metres. [default: the board's]")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", help="File to write; a report lies beside it.")] = Path("rig.yaml"),
+    from_scenes: Annotated[
+        bool, typer.Option("--from-scenes", help="No board: find a rig from EXIF and the matches of captures.")
+    ] = False,
+    baseline_m: Annotated[
+        float | None, typer.Option(metavar="M", help="Distance of the lenses, metres; with --from-scenes.")
+    ] = None,
+    f35: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TELE,WIDE", help="35 mm equivalents where EXIF has none, such as 80,27; with --from-scenes."
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = Path("rig.yaml"),
     seed: Annotated[int, typer.Option(help="Seed of the choice of photos held out.")] = 0,
     as_json: JsonOption = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")] = False,
 ) -> None:
     """Turn photos of a board, taken with both lenses, into rig.yaml and a report that says how good it is."""
-    from telewide.calibrate import BOARDS_FOLDER, CalibrateOptions, calibrate_boards
-
     _check_out(out)
+    if from_scenes:
+        if board is not None or square_m is not None:
+            raise UsageError("--board and --square-m describe a board; --from-scenes goes without one")
+        _calibrate_scenes(photos, out=out, baseline_m=baseline_m, f35=f35, seed=seed, as_json=as_json, quiet=quiet)
+        return
+    if baseline_m is not None or f35 is not None:
+        raise UsageError("--baseline-m and --f35 go with --from-scenes; a board tells both")
+    from telewide.calibrate import BOARDS_FOLDER, CalibrateOptions, calibrate_boards
+    from telewide.calibration.rig_file import stored_rig
+
     options = CalibrateOptions(board=board, square_m=square_m, out=out, seed=seed)
     with _observer(is_quiet=quiet) as observer:
         done = calibrate_boards(photos or BOARDS_FOLDER, options=options, observer=observer)
-        observer.close()
-        _say(done, observer)
-    _hand_over(done, as_json=as_json)
+        stored = stored_rig(done.calibration, facts=done.facts)
+        _say(stored, done.notes, observer)
+        observer.said(f"rig: {done.rig}")
+        observer.said(f"report: {done.report}")
+    answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(stored, done.notes)}
+    _hand_over(stored.quality, answer, as_json=as_json)
 
 
 def show(
@@ -68,7 +95,7 @@ def show(
 
     stored = read_rig(rig)
     if as_json:
-        typer.echo(json.dumps(_plain(yaml.safe_load(rig.read_text(encoding="utf-8"))), ensure_ascii=False))
+        typer.echo(json.dumps(_plain(yaml.safe_load(rig.read_text(encoding="utf-8"))), ensure_ascii=False, default=str))
     else:
         typer.echo("\n".join(rig_lines(stored)))
 
@@ -93,70 +120,93 @@ def _observer(*, is_quiet: bool) -> Iterator[ConsoleObserver]:
         observer.close()
 
 
-def _say(done: CalibrationRun, observer: ConsoleObserver) -> None:
+def _calibrate_scenes(
+    photos: Path | None,
+    *,
+    out: Path,
+    baseline_m: float | None,
+    f35: str | None,
+    seed: int,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from telewide.calibrate_scenes import CAPTURES_FOLDER, SceneOptions, calibrate_scenes
+    from telewide.capture.facts import MAX_BASELINE_M
+
+    if baseline_m is not None and not 0 < baseline_m <= MAX_BASELINE_M:
+        raise UsageError(f"--baseline-m {baseline_m:g}: metres were expected, above 0 and at most {MAX_BASELINE_M:g}")
+    options = SceneOptions(baseline_m=baseline_m, f35_mm=_parsed_f35(f35), out=out, seed=seed)
+    with _observer(is_quiet=quiet) as observer:
+        done = calibrate_scenes(photos or CAPTURES_FOLDER, options=options, observer=observer)
+        _say(done.stored, done.notes, observer)
+        observer.said(f"rig: {done.rig}")
+    _hand_over(done.stored.quality, {"rig": str(done.rig), **_json_of(done.stored, done.notes)}, as_json=as_json)
+
+
+def _parsed_f35(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        tele_mm, wide_mm = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--f35 {text}: two numbers were expected, tele first, such as 80,27") from None
+    if not 0 < wide_mm < tele_mm < math.inf:
+        raise UsageError(f"--f35 {text}: tele's focal length comes first, and is the longer one")
+    return tele_mm, wide_mm
+
+
+def _say(stored: StoredRig, notes: Sequence[str], observer: ConsoleObserver) -> None:
     from telewide.output.rig_text import summary_line
 
-    calibration = done.calibration
-    for note in done.notes:
+    observer.close()
+    for note in notes:
         observer.warned(f"note: {note}")
-    for check in calibration.quality.checks:
+    for check in stored.quality.checks:
         if check.status != "pass":
             observer.warned(f"{check.status}: {check.name}: {check.advice}")
-    std_m = calibration.transform_std.baseline_m
-    observer.said(summary_line(calibration.rig, calibration.quality, baseline_std_m=std_m))
-    observer.said(f"rig: {done.rig}")
-    observer.said(f"report: {done.report}")
-    if calibration.quality.verdict != "insufficient":
-        observer.said("next: telewide train captures/")
+    std_m = stored.transform_std.baseline_m if stored.transform_std is not None else None
+    observer.said(summary_line(stored.rig, stored.quality, baseline_std_m=std_m))
 
 
-def _hand_over(done: CalibrationRun, *, as_json: bool) -> None:
+def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, as_json: bool) -> None:
     """Answer in JSON where asked, and leave with code 4 where the rig is not good enough."""
-    failed = [check for check in done.calibration.quality.checks if check.status == "fail"]
     failure: QualityError | None = None
-    if done.calibration.quality.verdict == "insufficient":
+    if quality.verdict == "insufficient":
+        advice = " ".join(check.advice for check in quality.checks if check.status == "fail")
         failure = QualityError(
-            f"{done.rig} was written, and marked as not good enough to compute depth with",
-            hint=f"{' '.join(check.advice for check in failed)} {done.report} shows more".strip(),
+            f"{answer['rig']} was written, and marked as not good enough to compute depth with", hint=advice
         )
     if not as_json:
         if failure is not None:
             raise failure
         return
-    answer = _json_of(done)
     if failure is not None:
-        answer |= {"error": failure.message, "hint": failure.hint, "exit_code": failure.exit_code}
+        answer = {**answer, "error": failure.message, "hint": failure.hint, "exit_code": failure.exit_code}
         typer.echo(f"error: {failure.message}\n  {failure.hint}", err=True)
     typer.echo(json.dumps(_plain(answer), ensure_ascii=False))
     if failure is not None:
         raise typer.Exit(failure.exit_code)
 
 
-def _json_of(done: CalibrationRun) -> dict[str, object]:
-    calibration = done.calibration
-    rig, quality = calibration.rig, calibration.quality
+def _json_of(stored: StoredRig, notes: Sequence[str]) -> dict[str, object]:
+    rig, quality, std = stored.rig, stored.quality, stored.transform_std
     figures = {
         field.name: getattr(quality, field.name)
         for field in dataclasses.fields(quality)
         if field.name not in ("checks", "verdict")
     }
     return {
-        "rig": str(done.rig),
-        "report": str(done.report),
         "verdict": quality.verdict,
-        "board": done.facts.board,
-        "scale_verified": done.facts.scale_verified,
+        "source": stored.facts.source,
+        "board": stored.facts.board,
+        "scale_verified": stored.facts.scale_verified,
         "baseline_m": rig.baseline_m if rig.is_scale_known else None,
-        "baseline_std_m": calibration.transform_std.baseline_m,
+        "baseline_std_m": std.baseline_m if std is not None and rig.is_scale_known else None,
         "asymmetry": rig.asymmetry,
         **figures,
         "checks": [dataclasses.asdict(check) for check in quality.checks],
-        "left_out": [
-            {"shot": view.shot, "camera": view.camera, "rms_px": view.rms_px, "reason": view.reason}
-            for view in calibration.views
-            if not view.is_used
-        ],
-        "notes": list(done.notes),
+        "left_out": list(stored.left_out),
+        "notes": list(notes),
     }
 
 

@@ -45,8 +45,13 @@ def rig_lines(stored: StoredRig) -> tuple[str, ...]:
 
 def summary_line(rig: StereoRig, quality: CalibrationQuality, *, baseline_std_m: float | None = None) -> str:
     """Say in one line what a calibration gave."""
+    is_fit = math.isfinite(quality.tele_rms_px)  # a rig from scenes reprojects no corners
     words = [
-        f"reprojection {_px(quality.tele_rms_px)} (tele) and {_px(quality.wide_rms_px)} (wide) RMS",
+        *(
+            [f"reprojection {_px(quality.tele_rms_px)} (tele) and {_px(quality.wide_rms_px)} (wide) RMS"]
+            if is_fit
+            else []
+        ),
         f"held-out epipolar error {_px(quality.epipolar_p90_px)} (90 % are below)",
         f"f_tele / f_wide {rig.asymmetry:.3f}",
     ]
@@ -89,8 +94,9 @@ def _between(stored: StoredRig) -> list[tuple[str, str]]:
 
 def _quality(stored: StoredRig) -> list[tuple[str, str]]:
     quality = stored.quality
+    reprojection = f"{_px(quality.tele_rms_px)} (tele), {_px(quality.wide_rms_px)} (wide), RMS"
     return [
-        ("reprojection", f"{_px(quality.tele_rms_px)} (tele), {_px(quality.wide_rms_px)} (wide), RMS"),
+        *([("reprojection", reprojection)] if math.isfinite(quality.tele_rms_px) else []),
         (
             "epipolar error",
             f"{_px(quality.epipolar_p50_px)} median, {_px(quality.epipolar_p90_px)} 90 %, "
