@@ -22,7 +22,8 @@ from telewide.calibration.subpixel import refine_quads, refine_saddles
 
 _SMALLEST_MARKER_PX = 10.0  # below this a marker's cells are under 2 px
 _LARGE_ENOUGH_PX = 24.0  # markers of this side are all found; a larger picture would add none
-_MISPLACED = 0.2  # of a marker's side: farther from where the others put it, it is another's
+_MISPLACED = 0.5  # of a marker's side: farther from where the others put it, it is another's; distortion is less
+_MIN_MARKERS = 2  # one alone may be chance: a texture that looks like a marker
 _WINDOW_SHARE = 0.5  # radius of a refinement window over the distance to the next edge
 _MARKER_SHARE = 0.7  # likewise over the distance to the marker's black
 _CELL_SHARE = 0.8  # half length of an edge profile over the width of a cell and of the gap
@@ -100,7 +101,7 @@ def _consistent(found: FoundMarkers, board: Board) -> FoundMarkers | None:
     is_in_place = misplaced_px < np.maximum(_MISPLACED * _sides_px(found.quads_px).mean(axis=1), 2.0)
     kept = [i for i in np.argsort(misplaced_px) if is_in_place[i]]
     markers, first = np.unique(found.markers[kept], return_index=True)
-    if len(markers) < max(1, len(found.markers) / 3):
+    if len(markers) < max(_MIN_MARKERS, len(found.markers) / 3):
         return None
     return FoundMarkers(markers, found.quads_px[np.asarray(kept, dtype=np.int64)[first]])
 
@@ -176,7 +177,7 @@ def _homography(from_m: FloatArray, to_px: FloatArray) -> FloatArray | None:
     """Homography that most points agree on, found with a fixed seed."""
     scale_px = float(np.ptp(to_px, axis=0).max())
     cv2.setRNGSeed(0)
-    homography = cv2.findHomography(from_m, to_px, cv2.RANSAC, max(3.0, 0.01 * scale_px))[0]
+    homography = cv2.findHomography(from_m, to_px, cv2.RANSAC, max(3.0, 0.02 * scale_px))[0]
     return None if homography is None else np.asarray(homography, dtype=np.float64)
 
 

@@ -1,18 +1,35 @@
 """Board photos in a folder, and the corners found in them.
 
-<shot>/tele.*           <shot>/wide.*           a folder per shot; one of the two may be missing
-tele/<shot>.*           wide/<shot>.*           a folder per lens
-tele_close/<photo>.*    wide_close/<photo>.*    photos of one lens alone
+    <shot>/tele.*           <shot>/wide.*           a folder per shot; one of the two may be missing
+    tele/<shot>.*           wide/<shot>.*           a folder per lens
+    tele_close/<photo>.*    wide_close/<photo>.*    photos of one lens alone
+
+Letter case does not matter, hidden files are not looked at. Of a RAW photo and its JPEG the RAW is taken, if the other
+lens has one too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import unicodedata
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from telewide.calibration.boards import Board
 from telewide.calibration.detect import BoardView
+from telewide.calibration.detect_photos import PhotoResult, detect_photos
+from telewide.calibration.pattern import aruco_dictionary
+from telewide.calibration.turned import alike_numbered
+from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
+from telewide.capture.layout import is_same_file
+from telewide.errors import InputError, UsageError
+
+_VIEWS = ("tele", "wide")
+_CLOSE_UPS = {"tele_close": "tele", "wide_close": "wide"}
+_LOSSY_SUFFIXES = frozenset({".jpg", ".jpeg"})
+_MAX_LISTED = 5
+_LAYOUTS = "<shot>/tele.* with <shot>/wide.*, or tele/<shot>.* with wide/<shot>.*; tele_close/ and wide_close/ alone"
 
 
 @dataclass(frozen=True)
@@ -50,6 +67,8 @@ class DetectedShot:
 
 
 Tick = Callable[[DetectedShot], None]
+# name of a shot -> tele or wide -> the files that could be it
+_Candidates = dict[str, dict[str, list[Path]]]
 
 
 def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
@@ -65,7 +84,20 @@ def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
         UsageError: there is no such folder.
         InputError: it holds no board photos.
     """
-    raise NotImplementedError
+    if not folder.is_dir():
+        found = "is a file" if folder.exists() else "does not exist"
+        raise UsageError(f"{folder} {found}; a folder with photos of a board was expected")
+    candidates: _Candidates = defaultdict(lambda: defaultdict(list))
+    for entry in _visible(folder):
+        if entry.is_dir():
+            _add_folder(candidates, entry)
+    shots = tuple(_shot(name, views) for name, views in sorted(candidates.items()))
+    if not shots:
+        names = [entry.name for entry in _visible(folder)]
+        more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+        inside = f"it holds {', '.join(names[:_MAX_LISTED])}{more}" if names else "it is empty"
+        raise InputError(f"{folder} holds no photos of a board: {inside}", hint=f"expected {_LAYOUTS}")
+    return shots
 
 
 def detect_shots(
@@ -83,6 +115,92 @@ def detect_shots(
         One for each shot, in their order; a photo that cannot be used is a note.
 
     Raises:
-        InputError: the board is in none of the photos.
+        InputError: the board is in none of the photos, or it names markers that OpenCV does not have.
+        MissingPartError: a photo needs a reader that is not installed.
     """
-    raise NotImplementedError
+    if board.kind != "chessboard":
+        aruco_dictionary(board)  # its mistakes are the board's, not the photos'
+    paths = [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
+    results = detect_photos(paths, board=board, processes=processes)
+    detected: list[DetectedShot] = []
+    for shot in shots:
+        found = {
+            view: next(results)
+            for view, path in (("tele", shot.tele_path), ("wide", shot.wide_path))
+            if path is not None
+        }
+        detected.append(_detected(shot, found, board))
+        if tick is not None:
+            tick(detected[-1])
+    if not any(shot.tele or shot.wide for shot in detected):
+        raise _nothing_found(detected, board, n_photos=len(paths))
+    return tuple(detected)
+
+
+def _add_folder(candidates: _Candidates, folder: Path) -> None:
+    role = folder.name.casefold().replace("-", "_").replace(" ", "_")
+    for file in _visible(folder):
+        if file.suffix.lower() not in PHOTO_SUFFIXES or not file.is_file():
+            continue
+        stem = unicodedata.normalize("NFC", file.stem)
+        if role in _CLOSE_UPS:
+            candidates[f"{role}/{stem}"][_CLOSE_UPS[role]].append(file)
+        elif role in _VIEWS:
+            candidates[stem][role].append(file)
+        elif stem.casefold() in _VIEWS:
+            candidates[unicodedata.normalize("NFC", folder.name)][stem.casefold()].append(file)
+
+
+def _visible(folder: Path) -> list[Path]:
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder} cannot be opened: {error.strerror or error}") from error
+    return [entry for entry in entries if not entry.name.startswith((".", "__MACOSX"))]
+
+
+def _shot(name: str, views: dict[str, list[Path]]) -> BoardShot:
+    are_all_raw = all(any(_is_raw(path) for path in paths) for paths in views.values())
+    chosen: dict[str, Path] = {}
+    notes = []
+    for view, paths in views.items():
+        chosen[view], *others = sorted(paths, key=lambda path: (_rank(path, is_raw_first=are_all_raw), str(path)))
+        # A RAW and its JPEG are one photo, nothing to speak of.
+        if others and any(path.stem != chosen[view].stem or path.parent != chosen[view].parent for path in others):
+            notes.append(f"several files for {view}: {chosen[view]} is taken")
+    if len(chosen) == 2 and is_same_file(chosen["tele"], chosen["wide"]):
+        notes.append("tele and wide are the same picture; it is left out")
+        chosen = {}
+    return BoardShot(name, chosen.get("tele"), chosen.get("wide"), tuple(notes))
+
+
+def _rank(path: Path, *, is_raw_first: bool) -> int:
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return 0 if is_raw_first else 4
+    return 3 if suffix in _LOSSY_SUFFIXES else 2 if suffix in HEIF_SUFFIXES else 1
+
+
+def _is_raw(path: Path) -> bool:
+    return path.suffix.lower() in RAW_SUFFIXES
+
+
+def _detected(shot: BoardShot, found: dict[str, PhotoResult], board: Board) -> DetectedShot:
+    notes = [*shot.notes, *(f"{view}: {result.note}" for view, result in found.items() if result.note)]
+    tele, wide = (found[view].view if view in found else None for view in _VIEWS)
+    if tele is not None and wide is not None:
+        wide, turned_note = alike_numbered(tele, wide, board=board)
+        notes += [turned_note] if turned_note else []
+    return DetectedShot(shot.name, tele, wide, tuple(notes))
+
+
+def _nothing_found(detected: Iterable[DetectedShot], board: Board, *, n_photos: int) -> InputError:
+    notes = [f"\n  {shot.name}: {note}" for shot in detected for note in shot.notes]
+    more = f"\n  and {len(notes) - _MAX_LISTED} more" if len(notes) > _MAX_LISTED else ""
+    counted = {"chessboard": "inner corners", "charuco": "squares", "aruco_grid": "markers"}[board.kind]
+    return InputError(
+        f"no {board.kind} of {board.columns} x {board.rows} {counted} in any of {n_photos} photos"
+        + "".join(notes[:_MAX_LISTED])
+        + more,
+        hint="name the board that was photographed with --board; it must be flat, sharp and, as chessboard, whole",
+    )
