@@ -4,7 +4,8 @@
     run/pairs/<name>/pair.json         what was measured, and from which files it was made
     run/pairs/<name>/matches.npz       matches, in corrected coordinates: fitted to, and held out
 
-A pair whose files and options have not changed is taken as it lies there.
+With a rig the photos are rectified first, corrected for what moved in this shot; without one they are taken for
+rectified. A pair whose files and options have not changed is taken as it lies there.
 """
 
 from __future__ import annotations
@@ -17,11 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.align import Alignment, align_photos, alignment_from_plain, plain_alignment, plain_rig, seconds_apart
+from telewide.calibration.rig_file import StoredRig
+from telewide.capture.exif import image_pipeline, pipeline_conflict
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
-from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair
+from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
 from telewide.correction.held_out import HeldOut
-from telewide.correction.inspect import PairReport, correct_pair, disparity_window, inspect_pair
+from telewide.correction.inspect import CorrectedPair, PairReport, correct_pair, disparity_window, inspect_pair
 from telewide.correction.matches import find_matches
 from telewide.errors import InputError
 from telewide.geometry.stereo import FloatMap
@@ -30,7 +34,7 @@ from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.recipe import Recipe
 from telewide.training.samples import LABELS_NAME
 
-FORMAT = 1
+FORMAT = 2
 LABEL_CONFIDENCE = 0.5
 
 
@@ -44,6 +48,7 @@ class PreparedPair:
         report: what was measured on the photos.
         scale: working size over the photo's size.
         held_out: its matches that no fit has seen.
+        alignment: how the corrected pair lies to the photos; None where they were rectified when they came.
     """
 
     source: Capture
@@ -51,6 +56,7 @@ class PreparedPair:
     report: PairReport
     scale: float
     held_out: HeldOut
+    alignment: Alignment | None = None
 
 
 @dataclass(frozen=True)
@@ -62,12 +68,14 @@ class PreparedSet:
         facts: what the owner states.
         stated_window: disparities to search that the recipe states, px at the working size; None for measured ones.
         problems: captures left out, and why.
+        rig: what the photos were rectified with; None without.
     """
 
     pairs: tuple[PreparedPair, ...]
     facts: CaptureFacts
     stated_window: Window | None
     problems: tuple[Problem, ...]
+    rig: StoredRig | None = None
 
     @property
     def window(self) -> Window:
@@ -82,13 +90,16 @@ class PreparedSet:
 Tick = Callable[[PairReport | None], None]
 
 
-def prepare_captures(captures: CaptureSet, run: RunFolder, *, recipe: Recipe, tick: Tick | None = None) -> PreparedSet:
+def prepare_captures(
+    captures: CaptureSet, run: RunFolder, *, recipe: Recipe, rig: StoredRig | None = None, tick: Tick | None = None
+) -> PreparedSet:
     """Correct every capture of a set.
 
     Args:
         captures: what was found.
         run: where the pairs are kept.
         recipe: what is corrected; the working size; the window, where it states one.
+        rig: what to rectify with; None for captures that are rectified.
         tick: called after each capture, with its report or None where it was left out.
 
     Returns:
@@ -101,7 +112,7 @@ def prepare_captures(captures: CaptureSet, run: RunFolder, *, recipe: Recipe, ti
     problems = list(captures.problems)
     for capture in captures.captures:
         try:
-            prepared = _prepare_pair(capture, captures.facts, run, recipe)
+            prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig)
         except InputError as error:
             problems.append(Problem(capture.name, error.message))
             prepared = None
@@ -114,26 +125,68 @@ def prepare_captures(captures: CaptureSet, run: RunFolder, *, recipe: Recipe, ti
     if not pairs:
         lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
         raise InputError(f"{captures.root}: no capture can be used{lines}", hint="mend the captures named above")
-    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems))
+    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
 
 
-def _prepare_pair(capture: Capture, facts: CaptureFacts, run: RunFolder, recipe: Recipe) -> PreparedPair:
+def _prepare_pair(
+    capture: Capture, facts: CaptureFacts, run: RunFolder, *, recipe: Recipe, rig: StoredRig | None
+) -> PreparedPair:
     folder = run.pairs / capture.name
-    key = _key_of(capture, facts, recipe)
-    kept = _read_kept(capture, folder, key)
+    key = _key_of(capture, facts, recipe, rig)
+    kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is not None:
         return kept
-    pair, scale = _at_working_size(read_pair(capture, facts=facts), recipe.working_width_px)
+    (pair, scale), alignment = _rectified(capture, facts, recipe=recipe, rig=rig)
     matches = find_matches(pair.tele, pair.wide)
     focal_lengths_mm = (focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path))
-    report = inspect_pair(pair, facts=facts, matches=matches, focal_lengths_mm=focal_lengths_mm)
+    stated = facts if alignment is None else dataclasses.replace(facts, rectified=True)
+    report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
+    if alignment is not None and alignment.notes and report.verdict == "good":
+        report = dataclasses.replace(report, verdict="usable", reasons=(*report.reasons, *alignment.notes))
     corrected = correct_pair(
         pair,
         matches=matches,
         seed=recipe.seed,
-        has_vertical=recipe.correction.vertical,
+        # What the fit of this shot has left is not worth a second resampling.
+        has_vertical=recipe.correction.vertical and not (alignment and alignment.refinement.is_fitted),
         has_colour=recipe.correction.colour,
     )
+    _write_pair(folder, corrected)
+    content = {
+        "key": key,
+        "scale": scale,
+        "report": dataclasses.asdict(report),
+        "alignment": None if alignment is None else plain_alignment(alignment),
+    }
+    write_text(folder / "pair.json", json.dumps(content, indent=2))
+    kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
+    if kept is None:
+        raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
+    return kept
+
+
+def _rectified(
+    capture: Capture, facts: CaptureFacts, *, recipe: Recipe, rig: StoredRig | None
+) -> tuple[tuple[RectifiedPair, float], Alignment | None]:
+    """The pair at its working size, with the scale of that; how it lies to the photos, where a rig was needed."""
+    if rig is None:
+        return _at_working_size(read_pair(capture, facts=facts), recipe.working_width_px), None
+    if rig.facts.image_pipeline is not None:
+        for path in (capture.tele_path, capture.wide_path):
+            conflict = pipeline_conflict(rig.facts.image_pipeline, image_pipeline(path))
+            if conflict is not None:
+                raise InputError(f"{path}: {conflict}", hint="calibrate from photos of the kind you capture")
+    rectified, alignment = align_photos(
+        read_photos(capture),
+        rig=rig.rig,
+        working_width_px=recipe.working_width_px,
+        seconds=seconds_apart(capture),
+        seed=recipe.seed,
+    )
+    return (rectified.pair, alignment.geometry.scale), alignment
+
+
+def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
     write_image(folder / "tele.png", corrected.pair.tele)
     write_image(folder / "wide.png", corrected.pair.wide)
     with replacing(folder / "matches.npz") as temporary:
@@ -145,28 +198,25 @@ def _prepare_pair(capture: Capture, facts: CaptureFacts, run: RunFolder, recipe:
             fitted_src_px=corrected.matches_fit.src_px,
         )
     (folder / LABELS_NAME).unlink(missing_ok=True)
-    content = {"key": key, "scale": scale, "report": dataclasses.asdict(report)}
-    write_text(folder / "pair.json", json.dumps(content, indent=2))
-    kept = _read_kept(capture, folder, key)
-    if kept is None:
-        raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
-    return kept
 
 
-def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe) -> dict[str, object]:
+def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRig | None) -> dict[str, object]:
     """What a prepared pair depends on."""
     return {
         "format": FORMAT,
         "tele_sha256": fingerprint(capture.tele_path),
         "wide_sha256": fingerprint(capture.wide_path),
         "facts": dataclasses.asdict(facts),
+        "rig": None if rig is None else plain_rig(rig.rig),
         "correction": recipe.correction.model_dump(),
         "working_width_px": recipe.working_width_px,
         "seed": recipe.seed,
     }
 
 
-def _read_kept(capture: Capture, folder: Path, key: dict[str, object]) -> PreparedPair | None:
+def _read_kept(
+    capture: Capture, folder: Path, *, key: dict[str, object], recipe: Recipe, rig: StoredRig | None
+) -> PreparedPair | None:
     """The pair as an earlier call left it, or None where it is not there or was made from something else."""
     try:
         content = json.loads((folder / "pair.json").read_text(encoding="utf-8"))
@@ -175,13 +225,18 @@ def _read_kept(capture: Capture, folder: Path, key: dict[str, object]) -> Prepar
         report = PairReport(**{**content["report"], "reasons": tuple(content["report"]["reasons"])})
         with np.load(folder / "matches.npz", allow_pickle=False) as matches:
             ref_px, src_px = matches["held_out_ref_px"], matches["held_out_src_px"]
+        alignment = None
+        if rig is not None:
+            alignment = alignment_from_plain(
+                content["alignment"], rig=rig.rig, working_width_px=recipe.working_width_px
+            )
     except (OSError, ValueError, KeyError, TypeError):
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
     if not (corrected.tele_path.is_file() and corrected.wide_path.is_file()):
         return None
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
-    return PreparedPair(capture, corrected, report, float(content["scale"]), held_out)
+    return PreparedPair(capture, corrected, report, float(content["scale"]), held_out, alignment)
 
 
 def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:

@@ -24,11 +24,13 @@ __all__ = [
     "CaptureFacts",
     "CaptureSet",
     "PairReader",
+    "PhotoPair",
     "Problem",
     "RectifiedPair",
     "find_captures",
     "read_facts",
     "read_pair",
+    "read_photos",
     "read_truth",
 ]
 
@@ -36,6 +38,21 @@ MIN_SIDE_PX = 32
 # A stated asymmetry this far from the measured ratio of sizes is worth a word.
 _FACTOR_TOLERANCE = 0.1
 _log = logging.getLogger("telewide")
+
+
+@dataclass(frozen=True)
+class PhotoPair:
+    """Two photos as they were taken, each of its own size.
+
+    Attributes:
+        name: of the capture.
+        tele: (h, w, 3) RGB float32 in [0, 1].
+        wide: likewise.
+    """
+
+    name: str
+    tele: FloatImage
+    wide: FloatImage
 
 
 @dataclass(frozen=True)
@@ -53,6 +70,29 @@ class RectifiedPair:
     wide: FloatImage
 
 
+def read_photos(capture: Capture) -> PhotoPair:
+    """Read the two photos of a capture as they were taken.
+
+    Args:
+        capture: what to read.
+
+    Returns:
+        The photos.
+
+    Raises:
+        UsageError: a file does not exist.
+        InputError: a file cannot be read, is too small, or both are the same picture.
+    """
+    tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
+    _refuse_tiny(capture.tele_path, tele)
+    _refuse_tiny(capture.wide_path, wide)
+    if np.array_equal(tele, wide):
+        raise InputError(
+            f"{capture.tele_path} and {capture.wide_path} are the same picture; two different photos were expected"
+        )
+    return PhotoPair(capture.name, tele, wide)
+
+
 def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> RectifiedPair:
     """Read the two views of a capture and bring wide to tele's size.
 
@@ -68,13 +108,8 @@ def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> Rectifi
         InputError: a file cannot be read, is too small, both views are the same picture, or no common factor explains
             the two sizes.
     """
-    tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
-    _refuse_tiny(capture.tele_path, tele)
-    _refuse_tiny(capture.wide_path, wide)
-    if np.array_equal(tele, wide):
-        raise InputError(
-            f"{capture.tele_path} and {capture.wide_path} are the same picture; two different photos were expected"
-        )
+    photos = read_photos(capture)
+    tele, wide = photos.tele, photos.wide
     if tele.shape != wide.shape:
         _check_factor(capture, tele, wide, facts)
         wide = resize_bicubic(wide, wh=(tele.shape[1], tele.shape[0]))

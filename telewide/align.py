@@ -1,0 +1,139 @@
+"""With a rig: from two photos as captured to a rectified pair, corrected for what moved in this shot.
+
+    photos ── match ── fit what moved ── rig of this shot ── rectify ── pair
+
+What was fitted is kept as plain numbers, so that results find back to the photo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from telewide.capture.exif import read_photo_facts, seconds_between
+from telewide.capture.pair import Capture, PhotoPair
+from telewide.correction.moving import MovedRegion, find_moving
+from telewide.correction.photo_matches import find_photo_matches
+from telewide.correction.rectify import Rectification, rectify_pair
+from telewide.correction.shot import ShotRefinement, fit_shot, refined_rig
+from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
+from telewide.geometry.rig import StereoRig
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How a rectified pair lies to the photos it was made from.
+
+    Attributes:
+        refinement: what moved in this shot.
+        moved: parts of the tele photo that moved between the two exposures.
+        geometry: of the rectified views; its rig is this shot's, for photos of its sizes.
+    """
+
+    refinement: ShotRefinement
+    moved: tuple[MovedRegion, ...]
+    geometry: RectifiedGeometry
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One sentence for everything a person should know."""
+        moved = f"{len(self.moved)} parts of the scene moved between the two photos; their depth is not trusted"
+        return (*self.refinement.notes, moved) if self.moved else self.refinement.notes
+
+
+def align_photos(
+    photos: PhotoPair, *, rig: StereoRig, working_width_px: int | None, seconds: float | None, seed: int
+) -> tuple[Rectification, Alignment]:
+    """Correct a rig for one shot, and rectify the shot's photos with it.
+
+    Args:
+        photos: tele and wide as captured.
+        rig: as calibrated.
+        working_width_px: width of the rectified views at most; None for tele's resolution.
+        seconds: between the two exposures; None where EXIF does not tell.
+        seed: of the split into matches to fit to and held-out ones.
+
+    Returns:
+        The rectified pair, and how it lies to the photos.
+
+    Raises:
+        InputError: the photos do not fit the rig, or it cannot be rectified.
+    """
+    rig = rig_at_sizes(rig, tele_hw=photos.tele.shape[:2], wide_hw=photos.wide.shape[:2])
+    matches = find_photo_matches(photos.tele, photos.wide, rig=rig)
+    refinement = fit_shot(matches, rig=rig, seconds_between=seconds, seed=seed)
+    rectified = rectify_pair(
+        photos.tele,
+        photos.wide,
+        rig=refined_rig(rig, refinement),
+        name=photos.name,
+        working_width_px=working_width_px,
+    )
+    moved = find_moving(matches, refinement, rig=rig)
+    return rectified, Alignment(refinement, moved, rectified.geometry)
+
+
+def seconds_apart(capture: Capture) -> float | None:
+    """Time between the two exposures of a capture, s; None where EXIF does not tell."""
+    tele, wide = (read_photo_facts(path).taken for path in (capture.tele_path, capture.wide_path))
+    return None if tele is None or wide is None else seconds_between(tele, wide)
+
+
+def plain_rig(rig: StereoRig) -> dict[str, object]:
+    """A rig as plain data, to tell it from another."""
+    cameras = {"tele": rig.tele, "wide": rig.wide}
+    return {
+        "wide_from_tele": rig.wide_from_tele.tolist(),
+        "is_scale_known": rig.is_scale_known,
+        **{
+            name: {"hw": list(camera.hw), "K": camera.K.tolist(), "distortion": camera.distortion.tolist()}
+            for name, camera in cameras.items()
+        },
+    }
+
+
+def plain_alignment(alignment: Alignment) -> dict[str, object]:
+    """What an alignment adds to its rig, as plain data for a file; :func:`alignment_from_plain` undoes it exactly."""
+    shot = alignment.refinement
+    direction = shot.translation_direction
+    arrays = {
+        "rotation_vector": shot.rotation_vector.tolist(),
+        "rotation_std_rad": shot.rotation_std_rad.tolist(),
+        "translation_direction": None if direction is None else direction.tolist(),
+    }
+    rig = alignment.geometry.rig
+    return {
+        "tele_hw": list(rig.tele.hw),
+        "wide_hw": list(rig.wide.hw),
+        "refinement": {**vars(shot), **arrays, "notes": list(shot.notes)},
+        "moved": [{**vars(region), "outline_px": region.outline_px.tolist()} for region in alignment.moved],
+    }
+
+
+def alignment_from_plain(plain: Mapping[str, Any], *, rig: StereoRig, working_width_px: int | None) -> Alignment:
+    """Read what :func:`plain_alignment` wrote.
+
+    Args:
+        plain: as it was written.
+        rig: as calibrated, the one the alignment was made with.
+        working_width_px: the one it was made with.
+
+    Raises:
+        KeyError: a key is missing.
+        TypeError: a value is of another kind.
+        ValueError: likewise.
+    """
+    shot = dict(plain["refinement"])
+    for name in ("rotation_vector", "rotation_std_rad", "translation_direction"):
+        shot[name] = None if shot[name] is None else np.asarray(shot[name], dtype=np.float64)
+    refinement = ShotRefinement(**{**shot, "notes": tuple(shot["notes"])})
+    moved = tuple(
+        MovedRegion(**{**region, "outline_px": np.asarray(region["outline_px"], dtype=np.float64)})
+        for region in plain["moved"]
+    )
+    of_sizes = rig_at_sizes(rig, tele_hw=tuple(plain["tele_hw"]), wide_hw=tuple(plain["wide_hw"]))
+    geometry = rectified_geometry(refined_rig(of_sizes, refinement), working_width_px=working_width_px)
+    return Alignment(refinement, moved, geometry)
