@@ -7,6 +7,7 @@ Letters: N corners.
 
 from __future__ import annotations
 
+import difflib
 from typing import Annotated, Literal
 
 import numpy as np
@@ -109,7 +110,13 @@ def load_board(name: str) -> Board:
         UsageError: there is no such file; the message lists the known boards.
         InputError: the file says something a board cannot have.
     """
-    path = find_asset("calib", name if name.endswith((".yaml", ".yml")) else _FOLDER + name)
+    is_file = name.endswith((".yaml", ".yml"))
+    if not is_file and name not in list_boards():
+        known = list_boards()
+        nearest = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {nearest[0]}?" if nearest else "give one of the known boards or the path of a YAML file"
+        raise UsageError(f"{name}: no such board; known: {', '.join(known) or 'none'}", hint=hint)
+    path = find_asset("calib", name if is_file else _FOLDER + name)
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -142,6 +149,21 @@ def resized_board(board: Board, *, square_m: float) -> Board:
     return parse_options(
         Board, {**board.model_dump(), **sizes, "square_m": square_m}, source="square size", error=UsageError
     )
+
+
+def on_paper(board: Board, *, paper: str) -> Board:
+    """The same board for another sheet.
+
+    Args:
+        board: the board.
+        paper: A4 or A3, in any case.
+
+    Raises:
+        UsageError: no such paper.
+    """
+    if paper.upper() not in PAPER_WH_M:
+        raise UsageError(f"paper {paper}: expected {' or '.join(PAPER_WH_M)}")
+    return Board.model_validate({**board.model_dump(), "paper": paper.upper()})
 
 
 def board_points_m(board: Board) -> FloatArray:
