@@ -119,9 +119,9 @@ def develop(path: Path, data: bytes, *, is_half_size: bool = False) -> RawPhoto:
     facts = _read_dng(path, data)
     try:
         with rawpy.imread(BytesIO(data)) as raw:
-            levels = _scaled_mosaic(path, raw, facts.opcodes[2])
-            linear = _demosaiced(raw, facts, white=levels, is_half_size=is_half_size)
-            flip = raw.sizes.flip
+            flip = raw.sizes.flip  # as stored: developing overwrites it
+            white = _scaled_mosaic(path, raw, facts.opcodes[2])
+            linear = _demosaiced(raw, facts, white=white, is_half_size=is_half_size)
     except (rawpy.LibRawError, ValueError, AttributeError) as error:
         raise InputError(
             f"{path} cannot be developed as a RAW photo: {_reason(error)}",
@@ -134,12 +134,12 @@ def develop(path: Path, data: bytes, *, is_half_size: bool = False) -> RawPhoto:
 
 
 def _scaled_mosaic(path: Path, raw: rawpy.RawPy, opcodes: Sequence[Opcode]) -> int | None:
-    """Apply the gain maps to the mosaic in place, and return its new white level; None without gain maps.
+    """Apply the gain maps to the mosaic in place, and return its new white above black; None where it did not change.
 
     The mosaic is stretched to 16 bits: gains on ten bits would leave steps.
     """
     if not any(isinstance(opcode, GainMap) for opcode in opcodes):
-        return None
+        return _FULL_SCALE if _is_expanded(raw) else None
     if raw.raw_image is None:
         _log.warning("%s: its lens shading map cannot be applied to this kind of RAW; the corners stay dark", path)
         return None
@@ -151,8 +151,15 @@ def _scaled_mosaic(path: Path, raw: rawpy.RawPy, opcodes: Sequence[Opcode]) -> i
     span = _FULL_SCALE - int(black.max())
     np.clip(linear * span + black_of_pixel + 0.5, 0, black_of_pixel + span, out=linear)
     mosaic[...] = linear.astype(np.uint16)
-    # LibRaw takes the smallest black level off the white level before it scales.
-    return int(black.min()) + span
+    return span
+
+
+def _is_expanded(raw: rawpy.RawPy) -> bool:
+    """Tell whether LibRaw made 16 bits of a scan of 8 bits, whose white level it still states for 8."""
+    import rawpy
+
+    is_scan = raw.raw_type == rawpy.RawType.Stack and raw.raw_image is not None
+    return bool(is_scan and raw.raw_image.max() > 2 * raw.white_level)
 
 
 def _demosaiced(raw: rawpy.RawPy, facts: _DngFacts, *, white: int | None, is_half_size: bool) -> FloatImage:

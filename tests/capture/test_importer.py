@@ -1,0 +1,190 @@
+"""From a camera roll on disk to capture folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from capture.dng import write_dng
+from capture.roll import TELE, WIDE, exif_of, write_photo
+
+from telewide.capture.importer import ImportPlan, carry_out, plan_import
+from telewide.capture.layout import find_captures
+from telewide.capture.pairing import LensChoice
+from telewide.errors import InputError, UsageError
+
+FLAT = np.full((40, 60), 0.5, np.float32)
+
+
+def shoot(folder: Path, name: str, lens: dict[str, float], second: float) -> Path:
+    return write_photo(folder / name, exif=exif_of(**lens, second=second))  # type: ignore[arg-type]
+
+
+def shoot_raw(folder: Path, name: str, second: int) -> Path:
+    """A DNG that states its time and camera, but not its lens: that stands in its twin alone."""
+    texts = {271: "Maker", 272: "Phone 1", 36867: f"2026:05:01 12:00:{second:02d}"}
+    return write_dng(folder / name, FLAT, texts=texts)
+
+
+def planned(plan: ImportPlan) -> dict[str, tuple[str, str]]:
+    return {one.name: (one.pair.tele.path.name, one.pair.wide.path.name) for one in plan.pairs}
+
+
+@pytest.fixture
+def roll(tmp_path: Path) -> Path:
+    """Two pairs in two folders, and a photo of its own."""
+    dcim = tmp_path / "DCIM"
+    shoot(dcim / "100A", "IMG_1.jpg", WIDE, 0)
+    shoot(dcim / "100A", "IMG_2.jpg", TELE, 2)
+    shoot(dcim / "101A", "IMG_3.jpg", TELE, 100)
+    shoot(dcim / "101A", "IMG_4.jpg", WIDE, 101)
+    shoot(dcim / "101A", "IMG_5.jpg", WIDE, 500)
+    return dcim
+
+
+def test_an_import_makes_captures(roll: Path, tmp_path: Path) -> None:
+    captures = tmp_path / "captures"
+    plan = plan_import(roll, captures, choice=LensChoice())
+    assert not captures.exists()
+    assert planned(plan) == {"IMG_2": ("IMG_2.jpg", "IMG_1.jpg"), "IMG_3": ("IMG_3.jpg", "IMG_4.jpg")}
+    assert [one.photo.path.name for one in plan.unpaired] == ["IMG_5.jpg"]
+    carry_out(plan, captures)
+    found = find_captures(captures)
+    assert [capture.name for capture in found.captures] == ["IMG_2", "IMG_3"]
+    assert found.problems == ()
+    assert (captures / "IMG_2" / "tele.jpg").read_bytes() == (roll / "100A" / "IMG_2.jpg").read_bytes()
+    assert (captures / "IMG_2" / "wide.jpg").read_bytes() == (roll / "100A" / "IMG_1.jpg").read_bytes()
+    record = json.loads((captures / "IMG_2" / "pair.json").read_text())
+    assert record["format"] == 1
+    assert record["seconds_apart"] == -2
+    assert record["tele"]["source"] == "IMG_2.jpg"
+    assert record["wide"]["focal_length_mm"] == 4.25
+    assert record["tele"]["image_pipeline"] == "jpeg:Maker Phone 1"
+    assert sorted(entry.name for entry in captures.iterdir()) == ["IMG_2", "IMG_3"]
+
+
+def test_a_second_import_adds_what_is_new(roll: Path, tmp_path: Path) -> None:
+    captures = tmp_path / "captures"
+    carry_out(plan_import(roll, captures, choice=LensChoice()), captures)
+    again = plan_import(roll, captures, choice=LensChoice())
+    assert (again.pairs, again.known) == ((), ("IMG_2", "IMG_3"))
+    shoot(roll / "101A", "IMG_6.jpg", TELE, 505)
+    shoot(roll / "101A", "IMG_7.jpg", TELE, 99.5)  # nearer to a photo that is imported already
+    added = plan_import(roll, captures, choice=LensChoice())
+    assert planned(added) == {"IMG_6": ("IMG_6.jpg", "IMG_5.jpg")}
+    assert [one.photo.path.name for one in added.unpaired] == ["IMG_7.jpg"]
+    kept = (captures / "IMG_2" / "tele.jpg").stat().st_mtime_ns
+    carry_out(added, captures)
+    assert len(find_captures(captures).captures) == 3
+    assert (captures / "IMG_2" / "tele.jpg").stat().st_mtime_ns == kept
+
+
+def test_equal_names_get_folders_of_their_own(tmp_path: Path) -> None:
+    for number, folder in enumerate(("100A", "101A")):
+        shoot(tmp_path / "DCIM" / folder, "IMG_1.jpg", TELE, 100 * number)
+        shoot(tmp_path / "DCIM" / folder, "IMG_2.jpg", {**WIDE, "f35": 26 + number}, 100 * number + 1)
+    (tmp_path / "captures" / "img_1-2").mkdir(parents=True)
+    plan = plan_import(tmp_path / "DCIM", tmp_path / "captures", choice=LensChoice())
+    assert list(planned(plan)) == ["IMG_1", "IMG_1-3"]
+
+
+@pytest.mark.parametrize(
+    ("raw_name", "twin_name"),
+    [("{}.dng", "{}.jpg"), ("{}.DNG", "{}.JPG"), ("{}.RAW-02.ORIGINAL.dng", "{}.RAW-01.COVER.jpg")],
+)
+def test_raw_is_imported_and_its_twin_tells_the_lens(tmp_path: Path, raw_name: str, twin_name: str) -> None:
+    dcim, captures = tmp_path / "DCIM", tmp_path / "captures"
+    for name, lens, second in (("T1", TELE, 1), ("W1", WIDE, 3)):
+        shoot_raw(dcim, raw_name.format(name), second)
+        shoot(dcim, twin_name.format(name), lens, second)
+    plan = plan_import(dcim, captures, choice=LensChoice())
+    assert planned(plan) == {"T1": (raw_name.format("T1"), raw_name.format("W1"))}
+    assert plan.unpaired == ()
+    carry_out(plan, captures)
+    (capture,) = find_captures(captures).captures
+    assert (capture.tele_path.name, capture.wide_path.name) == ("tele.dng", "wide.dng")
+    assert plan_import(dcim, captures, choice=LensChoice()).known == ("T1",)
+
+
+def test_a_twin_is_imported_where_the_partner_has_no_raw(tmp_path: Path) -> None:
+    dcim, captures = tmp_path / "DCIM", tmp_path / "captures"
+    shoot_raw(dcim, "T1.dng", 1)
+    shoot(dcim, "T1.jpg", TELE, 1)
+    shoot(dcim, "W1.jpg", WIDE, 3)
+    plan = plan_import(dcim, captures, choice=LensChoice())
+    assert planned(plan) == {"T1": ("T1.jpg", "W1.jpg")}
+    carry_out(plan, captures)
+    assert plan_import(dcim, captures, choice=LensChoice()).pairs == ()
+
+
+def test_links_share_their_bytes(roll: Path, tmp_path: Path) -> None:
+    captures = tmp_path / "captures"
+    carry_out(plan_import(roll, captures, choice=LensChoice()), captures, is_linked=True)
+    assert (captures / "IMG_2" / "tele.jpg").samefile(roll / "100A" / "IMG_2.jpg")
+
+
+def test_what_is_no_photo_is_not_looked_at(roll: Path, tmp_path: Path) -> None:
+    for name in ("100A/MOV_1.mp4", "100A/IMG_1.AAE", "100A/._IMG_1.jpg", ".thumbnails/IMG_1.jpg"):
+        (roll / name).parent.mkdir(exist_ok=True)
+        (roll / name).write_text("nothing")
+    (roll / "100A" / "IMG_0.jpg").write_text("this is no photo at all")
+    plan = plan_import(roll, tmp_path / "captures", choice=LensChoice())
+    assert len(plan.pairs) == 2
+    assert {one.photo.path.name: one.reason.split(";")[0] for one in plan.unpaired} == {
+        "IMG_0.jpg": "is no photo that can be read",
+        "IMG_5.jpg": "the nearest photo of the other lens, IMG_3.jpg, is 400.0 s away",
+    }
+
+
+def test_captures_inside_the_roll_are_not_imported_again(roll: Path) -> None:
+    captures = roll / "captures"
+    carry_out(plan_import(roll, captures, choice=LensChoice()), captures)
+    again = plan_import(roll, captures, choice=LensChoice())
+    assert (again.pairs, len(again.unpaired), again.known) == ((), 1, ("IMG_2", "IMG_3"))
+
+
+def test_a_failed_import_leaves_whole_captures_only(roll: Path, tmp_path: Path) -> None:
+    captures = tmp_path / "captures"
+    plan = plan_import(roll, captures, choice=LensChoice())
+    (roll / "101A" / "IMG_4.jpg").unlink()
+    with pytest.raises(InputError, match=r"IMG_4\.jpg cannot be read"):
+        carry_out(plan, captures)
+    assert [entry.name for entry in captures.iterdir()] == ["IMG_2"]
+    rest = plan_import(roll, captures, choice=LensChoice())
+    assert rest.known == ("IMG_2",)
+
+
+def test_a_broken_record_does_not_stop_an_import(roll: Path, tmp_path: Path) -> None:
+    captures = tmp_path / "captures"
+    carry_out(plan_import(roll, captures, choice=LensChoice()), captures)
+    (captures / "IMG_3" / "pair.json").write_text("{")
+    again = plan_import(roll, captures, choice=LensChoice())
+    assert list(planned(again)) == ["IMG_3-2"]
+
+
+def test_folders_that_cannot_be_used(roll: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("")
+    cases = [
+        (tmp_path / "none", tmp_path / "c", UsageError, "does not exist"),
+        (tmp_path / "file", tmp_path / "c", UsageError, "is a file"),
+        (roll, tmp_path / "file", UsageError, "is a file"),
+        (roll, roll, UsageError, "both where photos come from"),
+        (tmp_path / "empty", tmp_path / "c", InputError, "holds no photos"),
+    ]
+    for dcim, captures, kind, told in cases:
+        with pytest.raises(kind, match=told):
+            plan_import(dcim, captures, choice=LensChoice())
+
+
+def test_a_real_pair(data_root: Path, tmp_path: Path) -> None:
+    """Taken 13.8 s apart: too far by default."""
+    folder = data_root / "phone_tele_wide_exif"
+    strict = plan_import(folder, tmp_path / "c", choice=LensChoice())
+    assert strict.pairs == ()
+    assert ["is 13.8 s away" in one.reason for one in strict.unpaired] == [True, True]
+    plan = plan_import(folder, tmp_path / "c", choice=LensChoice(max_seconds=15))
+    assert planned(plan) == {"IMG_20_tele": ("IMG_20_tele.jpg", "IMG_20_wide.jpg")}
+    assert plan.pairs[0].pair.ratio == 2
