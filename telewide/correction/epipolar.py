@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,7 +84,8 @@ def moved_rig(
     *,
     offset_px: float = 0.0,
     scale: float = 1.0,
-    rotation_vector: FloatArray,
+    rotation_vector: FloatArray | None = None,
+    tilt_rad: FloatArray | None = None,
     wide_centre: FloatArray | None = None,
 ) -> StereoRig:
     """Move wide of a rig, tele and the baseline's length staying.
@@ -94,26 +94,38 @@ def moved_rig(
         rig: as calibrated.
         offset_px: vertical misfit to take out by shifting wide's principal point across the baseline, tele px.
         scale: what wide's focal length is multiplied with.
-        rotation_vector: (3,) rad, turn of wide about its lens centre, in wide's frame.
+        rotation_vector: (3,) rad, turn of wide about its lens centre, in wide's frame; None is none.
+        tilt_rad: (2,) turns about the axes along and across the baseline, the principal point moving with them so that
+            the middle of the photo stays; None is none.
         wide_centre: (3,) direction from tele to wide, in tele's frame; None keeps it.
 
     Returns:
         The rig of a shot.
     """
-    turn = np.asarray(cv2.Rodrigues(np.asarray(rotation_vector, dtype=np.float64).reshape(3, 1))[0], dtype=np.float64)
-    rotation = turn @ rig.wide_from_tele[:3, :3]
-    translation_m = turn @ rig.wide_from_tele[:3, 3]
-    if wide_centre is not None:
-        translation_m = -rig.baseline_m / float(np.linalg.norm(wide_centre)) * (rotation @ wide_centre)
+    rotation = rig.wide_from_tele[:3, :3]
     K = rig.wide.K.copy()
     K[:2, :2] *= scale
     if offset_px:
         K[:2, 2] -= offset_px / rig.asymmetry * across_in_wide(rig)
+    if tilt_rad is not None and np.any(tilt_rad):
+        tilt = _turn((rotation @ rectifying_rotation(rig)[:2].T) @ tilt_rad)
+        middle = tilt[:2, 2] / tilt[2, 2]
+        K[:2, 2] -= K[:2, :2] @ middle
+        rotation = tilt @ rotation
+    if rotation_vector is not None:
+        rotation = _turn(rotation_vector) @ rotation
+    translation_m = rotation @ rig.wide_from_tele[:3, :3].T @ rig.wide_from_tele[:3, 3]
+    if wide_centre is not None:
+        translation_m = -rig.baseline_m / float(np.linalg.norm(wide_centre)) * (rotation @ wide_centre)
     return replace(
         rig,
         wide=replace(rig.wide, K=K),
         wide_from_tele=rigid_transform(rotation=rotation, translation=translation_m),
     )
+
+
+def _turn(rotation_vector: FloatArray) -> FloatArray:
+    return rigid_transform(rotation=rotation_vector, translation=np.zeros(3))[:3, :3]
 
 
 def across_in_wide(rig: StereoRig) -> FloatArray:
@@ -122,9 +134,9 @@ def across_in_wide(rig: StereoRig) -> FloatArray:
     return np.asarray(across / np.linalg.norm(across))
 
 
-def matching_unit_px(rig: StereoRig) -> float:
+def matching_unit_px(tele_hw: tuple[int, int]) -> float:
     """Tele pixels in one pixel of the views that are matched: above 1 for photos larger than those views."""
-    return max(1.0, max(rig.tele.hw) / MATCHING_SIDE_PX)
+    return max(1.0, max(tele_hw) / MATCHING_SIDE_PX)
 
 
 def turned_points(normalised: FloatArray, *, rotation: FloatArray) -> FloatArray:

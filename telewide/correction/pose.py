@@ -76,7 +76,7 @@ def fit_pose(matches: Matches, *, rig: StereoRig, seed: int = 0) -> PoseFit:
     used = matches
     if len(matches) > _MAX_MATCHES:
         used = matches.select(np.random.default_rng(seed).permutation(len(matches))[:_MAX_MATCHES])
-    unit_px = matching_unit_px(rig)
+    unit_px = matching_unit_px(rig.tele.hw)
 
     tele, wide = rig.tele.normalised(used.ref_px), rig.wide.normalised(used.src_px)
 

@@ -39,7 +39,7 @@ _OFFSET_PRIOR_PX = 40.0
 _ROLL_PRIOR_RAD = 0.01
 _SCALE_PRIOR = 0.01
 _TILT_PRIOR_RAD = 0.01
-_WORTH_A_PARAMETER = 0.98
+_WORTH_A_TILT = 0.96
 _WORTH_A_POSE = 0.85
 _AGREES_PX = 1.5
 _MIN_AGREEING_SHARE = 0.3
@@ -52,6 +52,10 @@ def _no_turn() -> FloatArray:
     return np.zeros(3)
 
 
+def _no_tilt() -> FloatArray:
+    return np.zeros(2)
+
+
 @dataclass(frozen=True)
 class ShotRefinement:
     """This shot's own correction of a rig; the default is no correction.
@@ -60,10 +64,13 @@ class ShotRefinement:
         vertical_offset_px: ``y_tele - y_wide`` at the principal point that the rig leaves and this takes out, tele px.
         scale: what wide's focal length is multiplied with.
         rotation_vector: (3,) rad, turn of wide on top of the rig's, in wide's frame: ``R = exp(v) R_rig``.
+        tilt_rad: (2,) turns about the axes along and across the baseline, the principal point moving with them so that
+            the middle of the photo stays.
         translation_direction: (3,) unit vector of ``wide_from_tele``'s translation; None keeps the rig's.
         vertical_offset_std_px: standard deviation of the offset; NaN where nothing was fitted.
         scale_std: likewise.
         rotation_std_rad: (3,) likewise; 0 for turns that are not part of the model.
+        tilt_std_rad: (2,) likewise.
         direction_std_rad: largest standard deviation of the translation's direction; 0 where it is the rig's.
         residual_before_px: median absolute vertical misfit of the held-out matches with the rig alone, tele px.
         residual_after_px: with this correction.
@@ -76,10 +83,12 @@ class ShotRefinement:
     vertical_offset_px: float = 0.0
     scale: float = 1.0
     rotation_vector: FloatArray = field(default_factory=_no_turn)
+    tilt_rad: FloatArray = field(default_factory=_no_tilt)
     translation_direction: FloatArray | None = None
     vertical_offset_std_px: float = float("nan")
     scale_std: float = float("nan")
     rotation_std_rad: FloatArray = field(default_factory=_no_turn)
+    tilt_std_rad: FloatArray = field(default_factory=_no_tilt)
     direction_std_rad: float = 0.0
     residual_before_px: float = float("nan")
     residual_after_px: float = float("nan")
@@ -115,6 +124,7 @@ def refined_rig(rig: StereoRig, refinement: ShotRefinement) -> StereoRig:
         offset_px=refinement.vertical_offset_px,
         scale=refinement.scale,
         rotation_vector=refinement.rotation_vector,
+        tilt_rad=refinement.tilt_rad,
     )
     transform = moved.wide_from_tele
     if refinement.translation_direction is not None:
@@ -128,8 +138,8 @@ def fit_shot(
 ) -> ShotRefinement:
     """Fit what moved between the calibration and this shot.
 
-    A small model first: offset across the baseline, roll, focal scale; a turn about the baseline where held-out matches
-    gain by it. Where the photos were not taken at once, or it leaves more than 0.5 px on held-out matches, the pose of
+    A small model first: offset across the baseline, roll, focal scale; a tilt of the lens where held-out matches gain
+    by it. Where the photos were not taken at once, or it leaves more than 0.5 px on held-out matches, the pose of
     wide, if that explains them clearly better.
 
     Args:
@@ -179,42 +189,44 @@ def baseline_shift_std_px(refinements: Sequence[ShotRefinement]) -> float:
 
 def _small_model(to_fit: Matches, held_out: Matches, *, rig: StereoRig, seed: int) -> ShotRefinement:
     """The smallest of the nested models that held-out matches do not gain from enlarging."""
-    best = _fit_small(to_fit, rig, n_parameters=3, seed=seed)
-    larger = _fit_small(to_fit, rig, n_parameters=4, seed=seed)
-    is_worth_it = _cost(held_out, rig, larger) < _WORTH_A_PARAMETER * _cost(held_out, rig, best)
+    best = _fit_small(to_fit, rig, has_tilt=False, seed=seed)
+    larger = _fit_small(to_fit, rig, has_tilt=True, seed=seed)
+    is_worth_it = _cost(held_out, rig, larger) < _WORTH_A_TILT * _cost(held_out, rig, best)
     return larger if is_worth_it else best
 
 
-def _fit_small(matches: Matches, rig: StereoRig, *, n_parameters: int, seed: int) -> ShotRefinement:
-    """Offset (px), roll (rad), log of the focal scale, turn about the baseline (rad): as many as asked for."""
-    unit_px = matching_unit_px(rig)
+def _fit_small(matches: Matches, rig: StereoRig, *, has_tilt: bool, seed: int) -> ShotRefinement:
+    """Offset (px), roll (rad), log of the focal scale; tilt (2, rad) if asked for."""
+    unit_px = matching_unit_px(rig.tele.hw)
     axes = rectifying_rotation(rig)  # a wide that turns about its lens centre does not move them
-    along = rig.wide_from_tele[:3, :3] @ axes[0]
-
-    def turn(x: FloatArray) -> FloatArray:
-        return np.array([0.0, 0.0, x[1]]) + (x[3] * along if len(x) > 3 else 0.0)
-
     tele_y = turned_points(rig.tele.normalised(matches.ref_px), rotation=axes)[:, 1]
 
     def misfit_px(x: FloatArray) -> FloatArray:
-        moved = moved_rig(rig, offset_px=x[0], scale=float(np.exp(x[2])), rotation_vector=turn(x))
+        moved = refined_rig(rig, _refinement_of(x))
         wide = turned_points(moved.wide.normalised(matches.src_px), rotation=axes @ moved.wide_from_tele[:3, :3].T)
         return np.asarray(rig.tele.f_px * (tele_y - wide[:, 1]))
 
-    prior_std = np.array([_OFFSET_PRIOR_PX * unit_px, _ROLL_PRIOR_RAD, _SCALE_PRIOR, _TILT_PRIOR_RAD])[:n_parameters]
-    jacobian = numeric_jacobian(misfit_px, np.zeros(n_parameters), step=1e-3 * prior_std)
-    start = consensus_start(
-        misfit_px(np.zeros(n_parameters)), jacobian, prior_std=prior_std, seed=seed, unit_px=unit_px
-    )
+    tilt_prior = (_TILT_PRIOR_RAD, _TILT_PRIOR_RAD) if has_tilt else ()
+    prior_std = np.array([_OFFSET_PRIOR_PX * unit_px, _ROLL_PRIOR_RAD, _SCALE_PRIOR, *tilt_prior])
+    none = np.zeros(len(prior_std))
+    jacobian = numeric_jacobian(misfit_px, none, step=1e-3 * prior_std)
+    start = consensus_start(misfit_px(none), jacobian, prior_std=prior_std, seed=seed, unit_px=unit_px)
     fit = fit_robustly(misfit_px, start, prior_std=prior_std, jacobian=lambda _x: jacobian, unit_px=unit_px)
-    tilt_std = fit.std[3] if n_parameters > 3 else 0.0
-    return ShotRefinement(
-        vertical_offset_px=float(fit.x[0]),
-        scale=float(np.exp(fit.x[2])),
-        rotation_vector=turn(fit.x),
+    return replace(
+        _refinement_of(fit.x),
         vertical_offset_std_px=float(fit.std[0]),
         scale_std=float(fit.std[2]),
-        rotation_std_rad=np.hypot(np.array([0.0, 0.0, fit.std[1]]), tilt_std * along),
+        rotation_std_rad=np.array([0.0, 0.0, fit.std[1]]),
+        tilt_std_rad=fit.std[3:] if has_tilt else np.zeros(2),
+    )
+
+
+def _refinement_of(x: FloatArray) -> ShotRefinement:
+    return ShotRefinement(
+        vertical_offset_px=float(x[0]),
+        scale=float(np.exp(x[2])),
+        rotation_vector=np.array([0.0, 0.0, x[1]]),
+        tilt_rad=x[3:] if len(x) > 3 else np.zeros(2),
     )
 
 
@@ -240,7 +252,7 @@ def _pose(
     if is_late:
         return replace(small, is_at_once=False, notes=(_NOT_AT_ONCE, *(() if pose.is_usable else pose.notes)))
     left_px = _median_misfit_px(held_out, rig, small)
-    is_much = left_px > LARGEST_RESIDUAL_PX * matching_unit_px(rig)
+    is_much = left_px > LARGEST_RESIDUAL_PX * matching_unit_px(rig.tele.hw)
     return replace(small, notes=(_LEFT_OVER, *(() if pose.is_usable else pose.notes)) if is_much else ())
 
 
@@ -262,10 +274,10 @@ def _median_misfit_px(matches: Matches, rig: StereoRig, refinement: ShotRefineme
 
 
 def _n_agreeing(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> int:
-    return int((np.abs(_misfit_px(matches, rig, refinement)) <= _AGREES_PX * matching_unit_px(rig)).sum())
+    return int((np.abs(_misfit_px(matches, rig, refinement)) <= _AGREES_PX * matching_unit_px(rig.tele.hw)).sum())
 
 
 def _cost(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> float:
     """Mean of the misfits, none counting for more than a clear mismatch."""
-    limit_px = 2 * _AGREES_PX * matching_unit_px(rig)
+    limit_px = 2 * _AGREES_PX * matching_unit_px(rig.tele.hw)
     return float(np.minimum(np.abs(_misfit_px(matches, rig, refinement)), limit_px).mean())

@@ -1,0 +1,160 @@
+"""Pin depth to a point of known distance: the zero of disparity, or, where that is unknown, the scale.
+
+A lens that shifts along the baseline moves every disparity by the same, and no match shows it; one measured distance
+does. A distance is what a tape shows from the phone to the point, along the ray and not along the optical axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from telewide.errors import InputError, UsageError
+from telewide.geometry.rectification import RectifiedGeometry
+from telewide.geometry.stereo import FloatMap
+
+DISTANCE_STD_SHARE = 0.01
+"""How well a distance is measured, unless said otherwise."""
+_WINDOW_SHARE = 0.004
+_LEAST_SPREAD_PX = 0.1
+
+
+@dataclass(frozen=True)
+class KnownDistance:
+    """A point of the tele photo and how far away it is.
+
+    Attributes:
+        x_px: column in the photo, upright.
+        y_px: row.
+        distance_m: from the phone to the point.
+    """
+
+    x_px: float
+    y_px: float
+    distance_m: float
+
+
+@dataclass(frozen=True)
+class DistancePin:
+    """What a known distance says of a rectified pair.
+
+    Attributes:
+        doffs_px: ``cx_src - cx_ref`` that makes the point's depth true, px of the rectified views.
+        correction_px: how far that is from what the rig said.
+        std_px: standard deviation, from the distance's and the spread of disparity around the point.
+    """
+
+    doffs_px: float
+    correction_px: float
+    std_px: float
+
+
+def parse_known_distance(text: str) -> KnownDistance:
+    """Read ``X,Y,M``: column, row (px of the tele photo) and distance (m).
+
+    Args:
+        text: three numbers with commas between them.
+
+    Returns:
+        The point.
+
+    Raises:
+        UsageError: something else was written, or the distance is not positive.
+    """
+    try:
+        x_px, y_px, distance_m = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"a known distance is written X,Y,M: column, row and metres; found {text!r}") from None
+    if not (np.isfinite([x_px, y_px, distance_m]).all() and distance_m > 0):
+        raise UsageError(f"a known distance needs a place and a positive number of metres, found {text!r}")
+    return KnownDistance(x_px, y_px, distance_m)
+
+
+def focus_distance(distance_m: float, *, geometry: RectifiedGeometry) -> KnownDistance:
+    """Take the distance a lens was focused at for that of the photo's middle.
+
+    Args:
+        distance_m: as EXIF states it; to be trusted only where the middle was focused on.
+        geometry: of the pair.
+
+    Returns:
+        The point at the middle of the tele photo.
+    """
+    height, width = geometry.rig.tele.hw
+    return KnownDistance((width - 1) / 2, (height - 1) / 2, distance_m)
+
+
+def pin_distance(
+    disparity_px: FloatMap,
+    known: KnownDistance,
+    *,
+    geometry: RectifiedGeometry,
+    distance_std_share: float = DISTANCE_STD_SHARE,
+) -> DistancePin:
+    """Find the zero of disparity that gives a point its distance.
+
+    ``doffs = f B / z - d`` with ``z = M / |r|``, r the point's ray with z = 1.
+
+    Args:
+        disparity_px: (H, W) of the rectified ref, NaN where unknown.
+        known: the point.
+        geometry: of the pair; of a rig whose scale is known.
+        distance_std_share: standard deviation of the distance over the distance.
+
+    Returns:
+        The pin; depth is right with ``dataclasses.replace(geometry, doffs_px=pin.doffs_px)``.
+
+    Raises:
+        InputError: the scale is not known, the point is not in the photo, or its disparity is unknown.
+    """
+    if not geometry.rig.is_scale_known:
+        raise InputError(
+            "a known distance cannot pin the zero of disparity of a rig without a scale", hint="pin the scale with it"
+        )
+    d_px, spread_px, length = _disparity_at(disparity_px, known, geometry)
+    wanted_px = geometry.f_px * geometry.rig.baseline_m * length / known.distance_m
+    std_px = float(np.hypot(spread_px, wanted_px * distance_std_share))
+    doffs_px = wanted_px - d_px
+    return DistancePin(doffs_px, doffs_px - geometry.doffs_px, std_px)
+
+
+def pin_scale(disparity_px: FloatMap, known: KnownDistance, *, geometry: RectifiedGeometry) -> float:
+    """Find the length of the baseline that gives a point its distance, the zero of disparity being right.
+
+    Args:
+        disparity_px: (H, W) of the rectified ref, NaN where unknown.
+        known: the point.
+        geometry: of the pair; its own scale does not count.
+
+    Returns:
+        The baseline, m.
+
+    Raises:
+        InputError: the point is not in the photo, its disparity is unknown, or it lies behind the cameras.
+    """
+    d_px, _, length = _disparity_at(disparity_px, known, geometry)
+    if d_px + geometry.doffs_px <= 0:
+        raise InputError(f"the point {known.x_px:g}, {known.y_px:g} is seen at infinity or beyond: it pins no scale")
+    return float((d_px + geometry.doffs_px) * known.distance_m / length / geometry.f_px)
+
+
+def _disparity_at(
+    disparity_px: FloatMap, known: KnownDistance, geometry: RectifiedGeometry
+) -> tuple[float, float, float]:
+    """Median disparity around the point, its robust spread, and the length of the point's ray with z = 1."""
+    height, width = geometry.rig.tele.hw
+    place = f"the point {known.x_px:g}, {known.y_px:g}"
+    if not (0 <= known.x_px <= width - 1 and 0 <= known.y_px <= height - 1):
+        raise InputError(f"{place} is not in the tele photo of {width} x {height} px")
+    at_px = geometry.ref_from_tele(np.array([[known.x_px, known.y_px]]))[0]
+    column, row = (int(value) for value in np.round(at_px))
+    reach = max(1, round(_WINDOW_SHARE * disparity_px.shape[1]))
+    window = disparity_px[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
+    seen = window[np.isfinite(window)].astype(np.float64)
+    if not len(seen):
+        raise InputError(f"{place} has no disparity", hint="choose a point with texture, away from edges")
+    median_px = float(np.median(seen))
+    spread_px = max(_LEAST_SPREAD_PX, 1.4826 * float(np.median(np.abs(seen - median_px))))
+    ray = np.append((at_px - geometry.ref_centre_px) / geometry.f_px, 1.0)
+    return median_px, spread_px, float(np.linalg.norm(ray))
