@@ -25,8 +25,6 @@ from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
 
 FloatImage = NDArray[np.float32]
 
-CONTEXT_PX = 192
-"""Border a tile is given on each side beyond the disparities' reach, and whose result is thrown away."""
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
 MAX_TILE_PIXELS = 2_500_000
@@ -103,7 +101,7 @@ def match_with_network(
     ref_BCHW, src_BCHW = (standardise(_tensor_from_image(view).to(device)) for view in (ref, src))
     disparity_px = np.empty(ref.shape[:2], np.float32)
     confidence, agrees = np.empty_like(disparity_px), np.empty(ref.shape[:2], np.bool_)
-    for tile in _tiles(ref.shape[:2], window=window, max_pixels=max_tile_pixels):
+    for tile in _tiles(ref.shape[:2], window=window, context_px=network.context_px, max_pixels=max_tile_pixels):
         maps = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
         for whole, part in zip((disparity_px, confidence, agrees), maps, strict=True):
             whole[tile.inner] = part[tile.inner_of_outer].cpu().numpy()
@@ -165,14 +163,17 @@ class _Tile:
         return slice(y[0] - top, y[1] - top), slice(x[0] - left, x[1] - left)
 
 
-def _tiles(hw: tuple[int, ...], *, window: Window, max_pixels: int) -> Iterator[_Tile]:
-    """Cut an image so that every tile, border included, has about ``max_pixels``; one tile if it fits."""
+def _tiles(hw: tuple[int, ...], *, window: Window, context_px: int, max_pixels: int) -> Iterator[_Tile]:
+    """Cut an image so that every tile, border included, has about ``max_pixels``; one tile if it fits.
+
+    The border is ``context_px`` on each side, in x beyond the disparities' reach; its result is thrown away.
+    """
     if hw[0] * hw[1] <= max_pixels:
         yield _Tile((0, hw[0]), (0, hw[1]), (0, hw[0]), (0, hw[1]))
         return
-    before_x, after_x = CONTEXT_PX + max(window[1], 0), CONTEXT_PX + max(-window[0], 0)
+    before_x, after_x = context_px + max(window[1], 0), context_px + max(-window[0], 0)
     side = max(256, int(max_pixels**0.5))
-    rows = _spans(hw[0], side - 2 * CONTEXT_PX, before=CONTEXT_PX, after=CONTEXT_PX)
+    rows = _spans(hw[0], side - 2 * context_px, before=context_px, after=context_px)
     for y, outer_y in rows:
         for x, outer_x in _spans(hw[1], side - before_x - after_x, before=before_x, after=after_x):
             yield _Tile(y, x, outer_y, outer_x)

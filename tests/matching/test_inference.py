@@ -23,6 +23,7 @@ from telewide.matching.inference import (
     match_with_network,
 )
 from telewide.matching.networks import StereoNetwork, build_network
+from telewide.matching.volume import correlate_groups, expect_disparity
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene
 from telewide.training.checkpoint import new_state
@@ -83,6 +84,43 @@ def test_tiles_of_negative_windows_look_to_the_other_side(taught: StereoNetwork,
         whole = match_with_network(src[:200], ref[:200], network=taught, window=(-96, 0))
         tiled = match_with_network(src[:200], ref[:200], network=taught, window=(-96, 0), max_tile_pixels=60_000)
     assert (np.abs(tiled.disparity_px - whole.disparity_px) <= 0.1).mean() >= 0.99
+
+
+class _Blur(torch.nn.Module):
+    """Features that look ``reach`` cells of the quarter grid around them."""
+
+    def __init__(self, reach: int) -> None:
+        super().__init__()
+        self.reach = reach
+
+    def forward(self, image: torch.Tensor) -> tuple[torch.Tensor]:
+        quarter = torch.nn.functional.avg_pool2d(image, 4)
+        return (torch.nn.functional.avg_pool2d(quarter, 2 * self.reach + 1, stride=1, padding=self.reach),)
+
+
+class _Correlate(torch.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.scale = torch.nn.Parameter(torch.tensor(50.0))
+
+    def forward(
+        self, ref: tuple[torch.Tensor], src: tuple[torch.Tensor], window: tuple[int, int]
+    ) -> tuple[list[torch.Tensor], torch.Tensor]:
+        logits = self.scale * correlate_groups(ref[0], src[0], window=window, groups=1)[:, 0]
+        coarse = expect_disparity(logits, window=window)[:, None]
+        return [torch.nn.functional.interpolate(coarse, scale_factor=4)[:, 0]], logits
+
+
+@pytest.mark.parametrize(("reach_px", "is_same"), [(64, True), (160, False)])
+def test_tiles_overlap_by_what_the_network_sees(reach_px: int, is_same: bool) -> None:
+    """A network that says 64 px: tiles are the whole exactly where that is true, and only there."""
+    ref, src = noise(210, 900), noise(210, 900, seed=1)
+    network = StereoNetwork(_Blur(reach_px // 4), _Correlate(), context_px=64)
+    with full_precision():
+        whole = match_with_network(ref, src, network=network, window=(0, 32))
+        tiled = match_with_network(ref, src, network=network, window=(0, 32), max_tile_pixels=90_000)
+    error_px = np.abs(tiled.disparity_px - whole.disparity_px)
+    assert (float(error_px.max()) < 1e-3) == is_same
 
 
 @pytest.mark.parametrize("name", ["lite", "psmnet-s"])
