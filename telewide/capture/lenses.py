@@ -6,13 +6,14 @@ and its 35 mm equivalent: for one lens f35 / f is constant, and a digital crop r
 
 from __future__ import annotations
 
+import dataclasses
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from telewide.capture.exif import PhotoFacts, read_photo_facts
-from telewide.capture.layout import Capture, Problem
+from telewide.capture.layout import Capture, CaptureSet, Problem
 from telewide.errors import TelewideError
 
 # Whole millimetres of f35 at 13 mm, and 4:3 against 16:9 of one sensor, stay below; the mildest crop offered is 1.16.
@@ -108,6 +109,21 @@ def check_lenses(captures: Sequence[Capture]) -> tuple[Problem, ...]:
     facts = {path: _facts(path) for capture in captures for path in (capture.tele_path, capture.wide_path)}
     lenses = find_lenses(facts.values())
     return tuple(problem for capture in captures for problem in _check_capture(capture, facts, lenses))
+
+
+def with_checked_lenses(captures: CaptureSet) -> CaptureSet:
+    """Leave out captures whose tele photo is a digital crop; see `check_lenses`.
+
+    Args:
+        captures: what was found.
+
+    Returns:
+        The captures that are left, perhaps none, and what was found among the problems.
+    """
+    problems = check_lenses(captures.captures)
+    refused = {problem.name for problem in problems if problem.is_skipped}
+    left = tuple(capture for capture in captures.captures if capture.name not in refused)
+    return dataclasses.replace(captures, captures=left, problems=(*captures.problems, *problems))
 
 
 def _check_capture(capture: Capture, facts: Mapping[Path, PhotoFacts], lenses: Sequence[Lens]) -> Iterable[Problem]:

@@ -8,8 +8,8 @@ import pytest
 from capture.roll import TELE, ULTRA, WIDE, exif_of, write_photo
 
 from telewide.capture.exif import PhotoFacts
-from telewide.capture.layout import Capture
-from telewide.capture.lenses import check_lenses, find_lenses, lens_of, why_cropped
+from telewide.capture.layout import Capture, find_captures
+from telewide.capture.lenses import check_lenses, find_lenses, lens_of, why_cropped, with_checked_lenses
 
 
 def facts(focal: float, f35: float | None, *, model: str = "P", zoom: float | None = None) -> PhotoFacts:
@@ -74,6 +74,15 @@ def test_a_tele_that_is_a_crop_of_wide_is_refused(tmp_path: Path) -> None:
     assert str(fake.tele_path) in problem.message
     assert "digital crop of the wide lens: both state 4.25 mm, with 52 and 26 mm equivalent" in problem.message
     assert "so that the phone uses its tele lens" in problem.message
+
+
+def test_a_set_loses_its_crops_only(tmp_path: Path) -> None:
+    capture(tmp_path, "good", TELE, WIDE)
+    capture(tmp_path, "fake", {"focal": 4.25, "f35": 52}, WIDE)
+    capture(tmp_path, "odd", TELE | {"model": "Phone 2"}, WIDE)
+    checked = with_checked_lenses(find_captures(tmp_path))
+    assert [one.name for one in checked.captures] == ["good", "odd"]
+    assert [(problem.name, problem.is_skipped) for problem in checked.problems] == [("fake", True), ("odd", False)]
 
 
 def test_a_crop_of_tele_is_refused(tmp_path: Path) -> None:
