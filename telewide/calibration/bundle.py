@@ -297,12 +297,13 @@ def _diagonals(blocks: FloatArray) -> FloatArray:
     return np.asarray(blocks * np.eye(blocks.shape[-1]))
 
 
-def solve_poses(problem: Problem, start: State) -> State:
+def solve_poses(problem: Problem, start: State, *, steps: int = _STEPS) -> State:
     """Place every board as well as can be, lenses and rig held; each shot is stepped on its own until it rests.
 
     Args:
         problem: what was seen.
         start: where to begin.
+        steps: how many to take at most.
 
     Returns:
         The state with the poses at their minimum.
@@ -312,16 +313,16 @@ def solve_poses(problem: Problem, start: State) -> State:
     damping = np.full(len(pose_t), 1e-3)
     part, state = _of_shots(problem, start, shots=moving)
     costs = shot_costs(part, state)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         pose, pull = _pose_equations(part, state)
         blocks = pose + damping[moving, None, None] * _diagonals(pose) + 1e-12 * np.eye(6)
-        steps: FloatArray = np.linalg.solve(blocks, pull[..., None])[..., 0].astype(np.float64)
-        trial = state.moved(np.zeros(N_SHARED), steps)
+        moves: FloatArray = np.linalg.solve(blocks, pull[..., None])[..., 0].astype(np.float64)
+        trial = state.moved(np.zeros(N_SHARED), moves)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             trial_costs = np.nan_to_num(shot_costs(part, trial), nan=np.inf)
         is_better = trial_costs <= costs
         pose_R[moving[is_better]], pose_t[moving[is_better]] = trial.pose_R[is_better], trial.pose_t[is_better]
-        expected = np.sum(steps * pull, axis=1) / 2
+        expected = np.sum(moves * pull, axis=1) / 2
         rests = (expected <= _FLAT * costs) | (damping[moving] > _DAMPING_MAX_POSES)
         damping[moving] = np.where(is_better, damping[moving] / 10, damping[moving] * 8)
         if rests.all():

@@ -32,6 +32,8 @@ BASELINE_STD = (0.01, 0.1)
 EXCESS = (6.0, 100.0)
 EPIPOLAR_WIDE_PX = (0.75, 2.5)
 """Held-out error p90, in wide pixels, by which a corner can be placed in the wide photo."""
+ODD_EVEN_WIDE_PX = (1.5, 6.0)
+"""Difference of two half calibrations, wide pixels; each errs more than the whole, by the root of two."""
 RMS_PX, RMS_SHARE = 0.25, 1e-4
 """A reprojection error passes up to this many px plus this share of the photo's longer side."""
 _CELLS = 8
@@ -184,6 +186,7 @@ def _figure_checks(evidence: Evidence, *, p90_px: float, cross_px: float) -> Ite
         f"Rigs from every second view differ by {cross_px:.2f} tele px. Take twice as many views, tilted to all sides "
         "and spread over the frame."
     )
+    limits_px = (ODD_EVEN_WIDE_PX[0] * tele_px, ODD_EVEN_WIDE_PX[1] * tele_px)
     yield _at_most("odd/even difference", cross_px, limits_px, advice)
     relative = evidence.transform_std.baseline_m / max(evidence.rig.baseline_m, 1e-300)
     advice = (

@@ -31,6 +31,10 @@ NARROW_LADDER = ("none", "k1", "k1k2", "k1k2p1p2")
 """Models for long lenses, whose rays stay so close to the axis that higher powers cannot be told apart."""
 
 
+BELIEVED = LADDER["k1k2p1p2"]
+"""What every lens has, told by the photos or not: where it is held at 0, the other numbers are surer than they seem."""
+
+
 def project_with_derivatives(points_m: FloatArray, lens: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Project points and differentiate the pixels by the lens and by the points.
 
@@ -114,8 +118,9 @@ def is_one_to_one(lens: FloatArray, *, hw: tuple[int, int]) -> bool:
 def prior_of_lens(hw: tuple[int, int], *, f_px: float) -> tuple[FloatArray, FloatArray]:
     """What is believed of a lens before any photo: centre and standard deviation of a wide normal distribution.
 
-    The principal point lies within a few hundredths of the width of the centre, pixels are nearly square, and no
-    coefficient alone moves the image's corner by much more than a tenth of its distance from the centre.
+    The principal point lies within a few hundredths of the width of the centre, pixels are nearly square, no radial
+    coefficient alone moves the image's corner by much more than a tenth of its distance from the centre, and no
+    tangential one by much more than a hundredth.
 
     Args:
         hw: height and width of the photos.
@@ -132,5 +137,5 @@ def prior_of_lens(hw: tuple[int, int], *, f_px: float) -> tuple[FloatArray, Floa
     powers = {_K1: 2, _K2: 4, _K3: 6, _K4: 2, _K5: 4, _K6: 6}
     for index, power in powers.items():
         spread[index] = 0.2 / corner**power
-    spread[[_P1, _P2]] = 0.03 / corner
+    spread[[_P1, _P2]] = 0.005 / corner
     return centre, spread

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _GUESSES = 40
-_ROUNDS = 5
+_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -109,12 +109,14 @@ def settled_rig(problem: Problem, start: State) -> State:
     joint = np.concatenate([joint, np.zeros(len(start.pose_t) - len(joint), dtype=bool)])
     free = np.zeros(N_SHARED, dtype=bool)
     free[RIG] = True
-    state = start
+    state, better = start, joint
     for _ in range(_ROUNDS):
         state = placed(of_shots(problem, joint), state)
         with np.errstate(over="ignore", invalid="ignore"):
             costs = np.where(joint, shot_costs(of_shots(problem, joint), state) / _corners(problem, joint), np.inf)
-        better = costs <= np.median(costs[joint])
+        before, better = better, costs <= np.median(costs[joint])
+        if np.array_equal(before, better):
+            break
         state = solve_bundle(of_shots(problem, better), state, free=free)
     return state
 

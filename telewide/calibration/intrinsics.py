@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from telewide.calibration.bundle import N_SHARED, Problem, Sightings, State, residuals_px, solve_bundle, solve_poses
 from telewide.calibration.distortion import (
     ASPECT,
+    BELIEVED,
     CX,
     CY,
     LADDER,
@@ -36,6 +37,8 @@ DISAGREES = 3.0
 _NEGLIGIBLE_PX = 0.05
 _ROUNDS = 8
 _FOLDS = 4
+_RARE = 2.0
+"""Standard errors by which what few lenses have must help: higher powers, pixels that are not square."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +230,7 @@ def _placed_left_out(problem: Problem, state: State, *, is_used: BoolArray) -> S
 def _best_model(
     problem: Problem, state: State, *, names: Sequence[str], rng: np.random.Generator
 ) -> tuple[str, BoolArray]:
-    """Climb the ladder as long as held-out views are explained better by more than its standard error."""
+    """Climb the ladder as long as held-out views are explained better, by a standard error or, where rare, by two."""
     views = problem.views[0]
     assert views is not None
     folds = rng.permutation(len(views.shot)) % min(_FOLDS, len(views.shot))
@@ -237,20 +240,20 @@ def _best_model(
     while candidates:
         name, free = candidates.pop(0)
         errors = _held_out_errors(problem, state, free=free, folds=folds)
-        if _is_better(errors, best_errors):
+        if _is_better(errors, best_errors, by=_RARE if len(LADDER[name]) > len(BELIEVED) else 1.0):
             best, best_free, best_errors = name, free, errors
     with_aspect = best_free.copy()
     with_aspect[ASPECT] = True
-    if _is_better(_held_out_errors(problem, state, free=with_aspect, folds=folds), best_errors):
+    if _is_better(_held_out_errors(problem, state, free=with_aspect, folds=folds), best_errors, by=_RARE):
         best, best_free = f"{best}+aspect", with_aspect
     return best, best_free
 
 
-def _is_better(errors: FloatArray, best: FloatArray) -> bool:
+def _is_better(errors: FloatArray, best: FloatArray, *, by: float) -> bool:
     gains = best - errors
     if not np.isfinite(gains).all() or len(gains) < 2:
         return False
-    return bool(gains.mean() > gains.std(ddof=1) / np.sqrt(len(gains)))
+    return bool(gains.mean() > by * gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _held_out_errors(problem: Problem, state: State, *, free: BoolArray, folds: NDArray[np.int64]) -> FloatArray:

@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 RAYLEIGH_MEDIAN = 1.1774
 """Median length of a plane normal vector of standard deviation 1."""
 _RAYLEIGH_P75 = 1.6651
+_STEPS = 12
+"""Enough for the right pose of two, which is near; the wrong one creeps."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def placed(problem: Problem, state: State) -> State:
             guess_R, guess_t = state.pose_R.copy(), state.pose_t.copy()
             guess_R[views.shot], guess_t[views.shot] = in_tele.R, in_tele.t
             guesses.append(replace(state, pose_R=guess_R, pose_t=guess_t))
-    settled = [solve_poses(problem, guess) for guess in guesses]
+    settled = [solve_poses(problem, guess, steps=_STEPS) for guess in guesses]
     costs = np.stack([np.nan_to_num(_quiet_costs(problem, each), nan=np.inf) for each in settled])
     best = np.argmin(costs, axis=0)
     shots = np.arange(len(best))

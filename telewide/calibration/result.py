@@ -26,7 +26,7 @@ class CameraStd:
         f_px: of the mean focal length.
         cx_px: of the principal point, along x.
         cy_px: of the principal point, along y.
-        distortion: (n,) of the coefficients, in their order; 0 where a coefficient is held at 0.
+        distortion: (n,) of the coefficients, in their order; 0 where one is held at 0 and believed to be.
         aspect: of ``(fx - fy) / (fx + fy)``; 0 where pixels are taken as square.
     """
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from telewide.calibration.bundle import N_SHARED, RIG, Problem, State
 from telewide.calibration.checks import Evidence, quality_of
-from telewide.calibration.distortion import ASPECT, CX, CY, N_LENS, F, n_coefficients
+from telewide.calibration.distortion import ASPECT, BELIEVED, CX, CY, N_LENS, F, n_coefficients
 from telewide.calibration.extrinsics import (
     Agreement,
     agreement,
@@ -73,7 +73,7 @@ def calibrate_rig(
     free = np.concatenate([fits[0].free, fits[1].free, np.ones(6, dtype=bool)])
     _refuse_exchanged(fits, gathered)
     solution = _solved(fits, gathered, board_m=board_points_m, free=free)
-    sure = uncertainty(solution.problem, solution.state, free=free)
+    sure = uncertainty(solution.problem, solution.state, free=_doubted(free))
     validation = validate(solution.problem, solution.state, free=free, rng=rng)
     sizes = {"tele_hw": gathered.views[0].hw, "wide_hw": gathered.views[1].hw}
     rig = rig_of(solution.state, **sizes, is_scale_known=is_scale_known)
@@ -98,6 +98,14 @@ def calibrate_rig(
         half_rigs=evidence.half_rigs,
         quality=quality_of(evidence),
     )
+
+
+def _doubted(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The fitted numbers, and those that were held because the photos do not tell them, which makes others unsure."""
+    doubted = free.copy()
+    for lens in (0, 1):
+        doubted[lens * N_LENS + np.array(BELIEVED)] = True
+    return doubted
 
 
 def _refuse_exchanged(fits: Sequence[LensFit], gathered: Gathered) -> None:
