@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.epipolar import epipolar_misfit_px, matching_unit_px, moved_rig, rectified_points
+from telewide.correction.epipolar import across_in_wide, epipolar_misfit_px, matching_unit_px, rectified_points
 from telewide.correction.matches import Matches
 from telewide.correction.robust import RobustFit, fit_robustly, numeric_jacobian
 from telewide.errors import InputError
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 FloatArray = NDArray[np.float64]
+Side = Literal["right", "left", "above", "below"]
 
 MIN_SCENES = 3
 """Fewer captures than this carry no rig."""
@@ -36,6 +38,7 @@ _CENTRE_PRIOR_SHARE = 0.01
 _SHOT_PRIOR = (4.0, 0.003, 0.005)
 _N_GLOBAL = 9
 _N_SHOT = 3
+_SIDES: dict[Side, tuple[float, float]] = {"right": (1, 0), "left": (-1, 0), "below": (0, 1), "above": (0, -1)}
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
 
 
@@ -96,22 +99,38 @@ class SceneRig:
 
 @dataclass(frozen=True)
 class _Scenes:
-    """What the solution is fitted to: matches, photo sizes, priors."""
+    """What the solution is fitted to: matches of all captures in a row, photo sizes, priors.
 
-    matches: tuple[Matches, ...]
+    Attributes:
+        matches: N of all captures.
+        scene: (N,) number of each match's capture, from 0.
+        tele_hw: size of tele's photos.
+        wide_hw: size of wide's photos.
+        focal: priors of the focal lengths.
+        azimuth_rad: direction of the baseline in tele's picture plane to begin with.
+    """
+
+    matches: Matches
+    scene: NDArray[np.intp]
     tele_hw: tuple[int, int]
     wide_hw: tuple[int, int]
     focal: FocalPrior
-    azimuth_rad: float
+    azimuth_rad: float = 0.0
+
+    @property
+    def n(self) -> int:
+        """Number of captures."""
+        return int(self.scene.max()) + 1 if len(self.scene) else 0
 
     @property
     def prior_std(self) -> FloatArray:
+        """(K,) of the rig's parameters, then of each capture's."""
         unit_px = matching_unit_px(self.tele_hw)
         centre_px = _CENTRE_PRIOR_SHARE * max(self.wide_hw)
         offset_px, roll_rad, scale = _SHOT_PRIOR
         rig = [*[_ROTATION_PRIOR_RAD] * 3, self.focal.tele_std_share, self.focal.ratio_std_share, centre_px, centre_px]
         direction = [_AZIMUTH_PRIOR_RAD, _OUT_OF_PLANE_PRIOR_RAD]
-        return np.array([*rig, *direction, *[offset_px * unit_px, roll_rad, scale] * len(self.matches)])
+        return np.array([*rig, *direction, *[offset_px * unit_px, roll_rad, scale] * self.n])
 
     def rig(self, x: FloatArray) -> StereoRig:
         """Rotation (3), log of tele's f, log of the ratio, wide's centre (2, px), azimuth and elevation (rad)."""
@@ -125,38 +144,32 @@ class _Scenes:
         turn = rigid_transform(rotation=x[:3], translation=np.zeros(3))[:3, :3]
         return StereoRig(tele, wide, rigid_transform(rotation=turn, translation=-turn @ centre), is_scale_known=False)
 
-    def misfit_px(self, x_rig: FloatArray, x_shot: FloatArray, scene: int) -> FloatArray:
-        """Misfit of one capture's matches: offset across the baseline (px), roll (rad), log of the focal scale."""
-        rig = moved_rig(
-            self.rig(x_rig),
-            offset_px=float(x_shot[0]),
-            scale=float(np.exp(x_shot[2])),
-            rotation_vector=np.array([0.0, 0.0, x_shot[1]]),
-        )
-        matches = self.matches[scene]
-        tele, wide = (_pinhole(p, c.K) for p, c in ((matches.ref_px, rig.tele), (matches.src_px, rig.wide)))
-        return epipolar_misfit_px(tele, wide, wide_from_tele=rig.wide_from_tele, f_px=rig.tele.f_px)
-
     def residuals(self, x: FloatArray) -> FloatArray:
-        return np.concatenate([self.misfit_px(x[:_N_GLOBAL], self.of_shot(x, s), s) for s in range(len(self.matches))])
+        """(N,) misfits with each capture's offset across the baseline (px), roll (rad) and log of the focal scale.
+
+        What :func:`telewide.correction.epipolar.moved_rig` does to the rig is undone to the points instead.
+        """
+        rig = self.rig(x[:_N_GLOBAL])
+        offset_px, roll_rad, log_scale = x[_N_GLOBAL:].reshape(-1, _N_SHOT)[self.scene].T
+        shift_px = offset_px[:, None] / rig.asymmetry * across_in_wide(rig)
+        wide = _pinhole(self.matches.src_px + shift_px, rig.wide.K) * np.exp(-log_scale)[:, None]
+        cos, sin = np.cos(roll_rad), np.sin(roll_rad)
+        unrolled = np.column_stack([cos * wide[:, 0] + sin * wide[:, 1], cos * wide[:, 1] - sin * wide[:, 0]])
+        tele = _pinhole(self.matches.ref_px, rig.tele.K)
+        return epipolar_misfit_px(tele, unrolled, wide_from_tele=rig.wide_from_tele, f_px=rig.tele.f_px)
 
     def jacobian(self, x: FloatArray) -> FloatArray:
-        """The rig's columns are full, a capture's own are zero elsewhere."""
+        """(N, K); a capture's own columns are zero in the others' rows, so all captures are stepped at once."""
         step = 1e-3 * self.prior_std
-        J = np.zeros((sum(len(m) for m in self.matches), len(x)))
-        row = 0
-        for scene, matches in enumerate(self.matches):
-            at = [*range(_N_GLOBAL), *range(_N_GLOBAL + _N_SHOT * scene, _N_GLOBAL + _N_SHOT * (scene + 1))]
-
-            def of_scene(part: FloatArray, scene: int = scene) -> FloatArray:
-                return self.misfit_px(part[:_N_GLOBAL], part[_N_GLOBAL:], scene)
-
-            J[row : row + len(matches), at] = numeric_jacobian(of_scene, x[at], step=step[at])
-            row += len(matches)
+        J = np.zeros((len(self.matches), len(x)))
+        rows = np.arange(len(self.matches))
+        for k in range(_N_GLOBAL + _N_SHOT):
+            is_own = k >= _N_GLOBAL
+            move = np.zeros(len(x))
+            move[k :: _N_SHOT if is_own else len(x)] = step[k]
+            slope = (self.residuals(x + move) - self.residuals(x - move)) / (2 * step[k])
+            J[rows, k + _N_SHOT * self.scene if is_own else k] = slope
         return J
-
-    def of_shot(self, x: FloatArray, scene: int) -> FloatArray:
-        return x[_N_GLOBAL + _N_SHOT * scene : _N_GLOBAL + _N_SHOT * (scene + 1)]
 
 
 def first_rig(*, tele_hw: tuple[int, int], wide_hw: tuple[int, int], focal: FocalPrior) -> StereoRig:
@@ -170,7 +183,8 @@ def first_rig(*, tele_hw: tuple[int, int], wide_hw: tuple[int, int], focal: Foca
     Returns:
         The rig, without a scale.
     """
-    return _Scenes((), tele_hw, wide_hw, focal, 0.0).rig(np.zeros(_N_GLOBAL))
+    nothing = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
+    return _Scenes(nothing, np.zeros(0, dtype=np.intp), tele_hw, wide_hw, focal).rig(np.zeros(_N_GLOBAL))
 
 
 def rig_from_scenes(
@@ -180,6 +194,7 @@ def rig_from_scenes(
     wide_hw: tuple[int, int],
     focal: FocalPrior,
     baseline_m: float | None = None,
+    wide_side: Side | None = None,
     seed: int = 0,
 ) -> SceneRig:
     """Solve for a rig jointly over the matches of all captures.
@@ -190,6 +205,8 @@ def rig_from_scenes(
         wide_hw: height and width of wide's photos.
         focal: what is known of the focal lengths.
         baseline_m: distance of the lenses where it is known; None leaves the scale open.
+        wide_side: where wide stands, seen in the photos held upright: matches alone hardly tell one side from the
+            other; None takes the likelier.
         seed: of the choice among many matches.
 
     Returns:
@@ -205,16 +222,19 @@ def rig_from_scenes(
             f"a rig without a board needs {MIN_SCENES} captures with {MIN_SCENE_MATCHES} matches, found {len(telling)}",
             hint="photograph more scenes with texture at several distances, or calibrate with a board",
         )
-    few = tuple(_drawn(m, rng, at_most=_MAX_MATCHES_AT_FIRST) for m in telling[:_MAX_SCENES_AT_FIRST])
-    azimuths_rad = [float(azimuth) for azimuth in np.radians(_AZIMUTHS_DEG)]
-    tried = [_solved(_Scenes(few, tele_hw, wide_hw, focal, azimuth_rad)) for azimuth_rad in azimuths_rad]
-    best = min(tried, key=lambda fit: fit.cost)
-    scenes_of_all = _Scenes(telling, tele_hw, wide_hw, focal, azimuths_rad[tried.index(best)])
-    return _described(_solved(scenes_of_all, x_rig=best.x[:_N_GLOBAL]), scenes_of_all, baseline_m=baseline_m)
+    matches, scene = _in_a_row([_drawn(m, rng) for m in telling])
+    few, few_scene = _in_a_row([_drawn(m, rng, at_most=_MAX_MATCHES_AT_FIRST) for m in telling[:_MAX_SCENES_AT_FIRST]])
+    tried = []
+    for azimuth_rad in np.radians(_AZIMUTHS_DEG):
+        fit = _solved(_Scenes(few, few_scene, tele_hw, wide_hw, focal, float(azimuth_rad)))
+        tried.append((fit.cost, float(azimuth_rad), fit.x[:_N_GLOBAL]))
+    _, azimuth_rad, x_rig = min(tried, key=lambda candidate: candidate[0])
+    solving = _Scenes(matches, scene, tele_hw, wide_hw, focal, azimuth_rad)
+    return _described(_solved(solving, x_rig=x_rig), solving, baseline_m=baseline_m, wide_side=wide_side)
 
 
 def _solved(scenes: _Scenes, *, x_rig: FloatArray | None = None) -> RobustFit:
-    start = np.zeros(_N_GLOBAL + _N_SHOT * len(scenes.matches))
+    start = np.zeros(_N_GLOBAL + _N_SHOT * scenes.n)
     if x_rig is not None:
         start[:_N_GLOBAL] = x_rig
     return fit_robustly(
@@ -226,16 +246,21 @@ def _solved(scenes: _Scenes, *, x_rig: FloatArray | None = None) -> RobustFit:
     )
 
 
-def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None) -> SceneRig:
+def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wide_side: Side | None) -> SceneRig:
     rig = scenes.rig(fit.x)
     std = fit.std
     zero_px = _zero_std_px(fit, scenes)
     is_backward, is_sure = _is_backward(rig, scenes, zero_px=zero_px)
+    if wide_side is not None:
+        wide_centre = -rig.wide_from_tele[:3, :3].T @ rig.wide_from_tele[:3, 3]
+        is_backward, is_sure = bool(wide_centre[:2] @ _SIDES[wide_side] < 0), True
     transform = rig.wide_from_tele.copy()
     transform[:3, 3] *= (-1.0 if is_backward else 1.0) * (1.0 if baseline_m is None else baseline_m)
     notes = []
     if not is_sure:
-        notes.append("on which side of tele wide stands could not be told: where near and far look exchanged, it did")
+        notes.append(
+            "on which side of tele wide stands is a guess: if near and far come out exchanged, it is the other"
+        )
     if zero_px > 1.0:
         notes.append(f"the zero of disparity is known to {zero_px:.0f} px only: pin it with a known distance")
     if baseline_m is None:
@@ -250,7 +275,7 @@ def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None) -> 
             direction_rad=std[7:9],
             zero_px=zero_px,
         ),
-        n_scenes=len(scenes.matches),
+        n_scenes=scenes.n,
         notes=tuple(notes),
     )
 
@@ -273,11 +298,15 @@ def _zero_std_px(fit: RobustFit, scenes: _Scenes) -> float:
 
 def _is_backward(rig: StereoRig, scenes: _Scenes, *, zero_px: float) -> tuple[bool, bool]:
     """Whether most points would lie behind the cameras, and whether that can be told at all."""
-    matches = Matches(*(np.concatenate([getattr(m, side) for m in scenes.matches]) for side in ("ref_px", "src_px")))
-    tele, wide = rectified_points(matches.ref_px, matches.src_px, rig=rig)
+    tele, wide = rectified_points(scenes.matches.ref_px, scenes.matches.src_px, rig=rig)
     low_px, high_px = np.percentile(rig.tele.f_px * (tele[:, 0] - wide[:, 0]), (5, 95))
     # in front of the cameras all disparities are positive
     return bool(-low_px > high_px), bool(abs(low_px + high_px) > 2 * zero_px)
+
+
+def _in_a_row(scenes: Sequence[Matches]) -> tuple[Matches, NDArray[np.intp]]:
+    ref_px, src_px = np.concatenate([m.ref_px for m in scenes]), np.concatenate([m.src_px for m in scenes])
+    return Matches(ref_px, src_px), np.repeat(np.arange(len(scenes)), [len(m) for m in scenes])
 
 
 def _drawn(matches: Matches, rng: np.random.Generator, *, at_most: int = _MAX_SCENE_MATCHES) -> Matches:
