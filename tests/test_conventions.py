@@ -17,10 +17,13 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from rigs import in_wide, phone, points_in_view
 from source import Module, at, calls, functions, identifiers, module_from_text, modules, parameters
 
 from telewide.capture.images import read_image, read_pfm, resize_bicubic, write_image, write_pfm
+from telewide.correction.unrectify import disparity_on_tele
 from telewide.geometry.camera import cropped_intrinsics, scaled_intrinsics, scaled_points
+from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap, depth_from_disparity, disparity_from_depth, resize_disparity
 from telewide.simulate.degrade import shrink_and_enlarge
 
@@ -297,6 +300,24 @@ def test_convention_matchers_take_any_window(disparity_px: int) -> None:
         assert not np.isnan(found.disparity_px).any(), name
 
 
+@pytest.mark.parametrize("place_of_wide", ["horizontal", "reversed", "vertical", "vertical, reversed"])
+def test_convention_rectifying_fixes_the_sign(place_of_wide: str, rng: np.random.Generator) -> None:
+    rig = phone(place_of_wide)
+    geometry = rectified_geometry(rig)
+    points_m = points_in_view(rig, rng, n=20)
+    ref_px = geometry.ref_from_tele(rig.tele.project(points_m))
+    src_px = geometry.src_from_wide(rig.wide.project(in_wide(rig, points_m)))
+    np.testing.assert_allclose(ref_px[:, 1], src_px[:, 1], atol=1e-6)
+    assert np.all(ref_px[:, 0] - src_px[:, 0] + geometry.doffs_px > 0)
+    # Counter-clockwise is what numpy calls a positive turn: the photo's right border comes to the top.
+    along_x = np.diff(geometry.ref_from_tele(np.array([[1000.0, 1500.0], [3000.0, 1500.0]])), axis=0)[0]
+    if place_of_wide.startswith("vertical"):
+        assert along_x[1] < -1900
+    else:
+        assert np.sign(along_x[0]) == (-1 if geometry.is_mirrored else 1)
+    assert geometry.is_mirrored == place_of_wide.endswith("reversed")
+
+
 def test_convention_resizing_scales_disparity(rng: np.random.Generator) -> None:
     disparity_px = rng.uniform(-9, 60, (24, 36)).astype(np.float32)
     np.testing.assert_allclose(resize_disparity(disparity_px, wh=(72, 24))[:, ::2], 2 * disparity_px, rtol=1e-6)
@@ -326,6 +347,21 @@ def test_convention_depth_is_z_of_ref(rng: np.random.Generator) -> None:
     depth_m = depth_from_disparity(disparity_px, **facts)
     np.testing.assert_allclose(depth_m[0], points_m[:, 2], rtol=2e-4)
     np.testing.assert_allclose(disparity_from_depth(depth_m, **facts), disparity_px, atol=1e-4)
+
+
+def test_convention_depth_of_a_photo_is_along_its_own_axis() -> None:
+    rig = phone("one farther back", shrink=20)  # the rectified axis is turned by 18 degrees here
+    geometry = rectified_geometry(rig)
+    rows, columns = np.mgrid[: geometry.hw[0], : geometry.hw[1]]
+    rays = np.stack([columns, rows], axis=-1) - geometry.ref_centre_px
+    # A wall that faces tele, 2 m away.
+    rect_depth_m = 2.0 / (np.dstack([rays / geometry.f_px, np.ones(geometry.hw)]) @ geometry.rect_from_tele[:, 2])
+    disparity_px = (geometry.f_px * rig.baseline_m / rect_depth_m).astype(np.float32)
+    assert np.ptp(disparity_px) > 0.05 * disparity_px.mean()
+    known = np.ones(geometry.hw, np.bool_)
+    on_tele = disparity_on_tele(DisparityMap(disparity_px, known.astype(np.float32), known), geometry=geometry)
+    depth_m = rig.tele.K[0, 0] * rig.baseline_m / on_tele.disparity_px
+    np.testing.assert_allclose(depth_m[1:-1, 1:-1], 2.0, rtol=1e-3)
 
 
 def test_convention_in_front_is_positive() -> None:
