@@ -258,9 +258,7 @@ def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wid
     transform[:3, 3] *= (-1.0 if is_backward else 1.0) * (1.0 if baseline_m is None else baseline_m)
     notes = []
     if not is_sure:
-        notes.append(
-            "on which side of tele wide stands is a guess: if near and far come out exchanged, it is the other"
-        )
+        notes.append("the side of tele wide stands on is a guess: if near and far come out exchanged, it is the other")
     if zero_px > 1.0:
         notes.append(f"the zero of disparity is known to {zero_px:.0f} px only: pin it with a known distance")
     if baseline_m is None:

@@ -8,7 +8,6 @@ Letters: N matches.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,17 +42,12 @@ _WORTH_A_TILT = 0.96
 _WORTH_A_POSE = 0.85
 _AGREES_PX = 1.5
 _MIN_AGREEING_SHARE = 0.3
-_MIN_SHOTS = 3
 _NOT_AT_ONCE = "the two photos were not taken at once: wide's pose is this shot's own, and depth is relative"
 _LEFT_OVER = "this shot's correction leaves more than it should: the rig does not fit these photos, or the scene moved"
 
 
 def _no_turn() -> FloatArray:
     return np.zeros(3)
-
-
-def _no_tilt() -> FloatArray:
-    return np.zeros(2)
 
 
 @dataclass(frozen=True)
@@ -64,13 +58,13 @@ class ShotRefinement:
         vertical_offset_px: ``y_tele - y_wide`` at the principal point that the rig leaves and this takes out, tele px.
         scale: what wide's focal length is multiplied with.
         rotation_vector: (3,) rad, turn of wide on top of the rig's, in wide's frame: ``R = exp(v) R_rig``.
-        tilt_rad: (2,) turns about the axes along and across the baseline, the principal point moving with them so that
+        tilt_rad: turns about the axes along and across the baseline, the principal point moving with them so that
             the middle of the photo stays.
         translation_direction: (3,) unit vector of ``wide_from_tele``'s translation; None keeps the rig's.
         vertical_offset_std_px: standard deviation of the offset; NaN where nothing was fitted.
         scale_std: likewise.
         rotation_std_rad: (3,) likewise; 0 for turns that are not part of the model.
-        tilt_std_rad: (2,) likewise.
+        tilt_std_rad: likewise.
         direction_std_rad: largest standard deviation of the translation's direction; 0 where it is the rig's.
         residual_before_px: median absolute vertical misfit of the held-out matches with the rig alone, tele px.
         residual_after_px: with this correction.
@@ -83,12 +77,12 @@ class ShotRefinement:
     vertical_offset_px: float = 0.0
     scale: float = 1.0
     rotation_vector: FloatArray = field(default_factory=_no_turn)
-    tilt_rad: FloatArray = field(default_factory=_no_tilt)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
     translation_direction: FloatArray | None = None
     vertical_offset_std_px: float = float("nan")
     scale_std: float = float("nan")
     rotation_std_rad: FloatArray = field(default_factory=_no_turn)
-    tilt_std_rad: FloatArray = field(default_factory=_no_tilt)
+    tilt_std_rad: tuple[float, float] = (0.0, 0.0)
     direction_std_rad: float = 0.0
     residual_before_px: float = float("nan")
     residual_after_px: float = float("nan")
@@ -124,7 +118,7 @@ def refined_rig(rig: StereoRig, refinement: ShotRefinement) -> StereoRig:
         offset_px=refinement.vertical_offset_px,
         scale=refinement.scale,
         rotation_vector=refinement.rotation_vector,
-        tilt_rad=refinement.tilt_rad,
+        tilt_rad=np.asarray(refinement.tilt_rad),
     )
     transform = moved.wide_from_tele
     if refinement.translation_direction is not None:
@@ -167,26 +161,6 @@ def fit_shot(
     return replace(best, residual_before_px=before_px, residual_after_px=after_px, n_matches=n, is_fitted=True)
 
 
-def baseline_shift_std_px(refinements: Sequence[ShotRefinement]) -> float:
-    """Estimate how far the lens shifts along the baseline from shot to shot, which no match can show.
-
-    Stabilisation shifts a lens along and across the baseline alike: the root mean square of the offsets across it, what
-    the fit itself spreads by taken off. Spread about the rig, not about their mean, since the rig was calibrated with
-    lenses that moved as well.
-
-    Args:
-        refinements: of all shots of a set; those not fitted, and those of shots not taken at once, have no say.
-
-    Returns:
-        Standard deviation of the disparity's zero, tele px; NaN for fewer than three shots.
-    """
-    telling = [r for r in refinements if r.is_fitted and r.is_at_once]
-    if len(telling) < _MIN_SHOTS:
-        return float("nan")
-    squared = np.array([r.vertical_offset_px**2 - r.vertical_offset_std_px**2 for r in telling])
-    return float(np.sqrt(max(float(squared.mean()), 0.0)))
-
-
 def _small_model(to_fit: Matches, held_out: Matches, *, rig: StereoRig, seed: int) -> ShotRefinement:
     """The smallest of the nested models that held-out matches do not gain from enlarging."""
     best = _fit_small(to_fit, rig, has_tilt=False, seed=seed)
@@ -217,7 +191,7 @@ def _fit_small(matches: Matches, rig: StereoRig, *, has_tilt: bool, seed: int) -
         vertical_offset_std_px=float(fit.std[0]),
         scale_std=float(fit.std[2]),
         rotation_std_rad=np.array([0.0, 0.0, fit.std[1]]),
-        tilt_std_rad=fit.std[3:] if has_tilt else np.zeros(2),
+        tilt_std_rad=(float(fit.std[3]), float(fit.std[4])) if has_tilt else (0.0, 0.0),
     )
 
 
@@ -226,7 +200,7 @@ def _refinement_of(x: FloatArray) -> ShotRefinement:
         vertical_offset_px=float(x[0]),
         scale=float(np.exp(x[2])),
         rotation_vector=np.array([0.0, 0.0, x[1]]),
-        tilt_rad=x[3:] if len(x) > 3 else np.zeros(2),
+        tilt_rad=(float(x[3]), float(x[4])) if len(x) > 3 else (0.0, 0.0),
     )
 
 
