@@ -46,6 +46,7 @@ _MISMATCH_WIDE_PX = 3.0
 # Limits: (passes, fails), as of the checks of a board.
 _SCENES = (8, MIN_SCENES)
 _F_STD = (0.02, 0.1)
+_F_DEVIATION = (0.1, 0.3)
 _ERROR_WIDE_PX = (0.75, 2.5)
 _ZERO_PX = (1.0, math.inf)
 
@@ -117,7 +118,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
         source="scenes",
         notes=whole.notes,
     )
-    stored = _stored(whole, quality=_quality(whole, halves, scenes), facts=facts)
+    stored = _stored(whole, quality=_quality(whole, halves, scenes, focal=focal), facts=facts)
     write_stored_rig(options.out, stored)
     return SceneRun(stored, options.out, (*whole.notes, *notes))
 
@@ -168,12 +169,12 @@ def _focal_prior(focal_mm: tuple[float, float], sizes: tuple[Hw, Hw]) -> FocalPr
 
 
 def _quality(
-    whole: SceneRig, halves: tuple[SceneRig, SceneRig] | None, scenes: Sequence[Matches]
+    whole: SceneRig, halves: tuple[SceneRig, SceneRig] | None, scenes: Sequence[Matches], *, focal: FocalPrior
 ) -> CalibrationQuality:
     errors_px = _held_out_px(halves, scenes) if halves is not None else np.zeros(0)
     p50, p90, p99 = np.percentile(errors_px, (50, 90, 99)) if len(errors_px) else (math.nan,) * 3
     cross_px = _cross_px(halves) if halves is not None else math.nan
-    checks = _checks(whole, p90_px=float(p90), cross_px=cross_px)
+    checks = _checks(whole, focal=focal, p90_px=float(p90), cross_px=cross_px)
     return CalibrationQuality(
         tele_rms_px=math.nan,
         wide_rms_px=math.nan,
@@ -203,7 +204,7 @@ def _cross_px(halves: tuple[SceneRig, SceneRig]) -> float:
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=-1))))
 
 
-def _checks(whole: SceneRig, *, p90_px: float, cross_px: float) -> tuple[Check, ...]:
+def _checks(whole: SceneRig, *, focal: FocalPrior, p90_px: float, cross_px: float) -> tuple[Check, ...]:
     factor = max(whole.rig.asymmetry, 1.0)
     limits_px = (_ERROR_WIDE_PX[0] * factor, _ERROR_WIDE_PX[1] * factor)
     more = "Take more captures of scenes with texture all over the tele photo, near and far."
@@ -217,6 +218,13 @@ def _checks(whole: SceneRig, *, p90_px: float, cross_px: float) -> tuple[Check, 
             "" if n >= _SCENES[0] else f"{n} captures had matches enough. {more}",
         ),
         _at_most("focal length", whole.std.tele_f_share, _F_STD, "Focal lengths are EXIF's: photograph a board."),
+        _at_most(
+            "focal length against EXIF",
+            abs(whole.rig.tele.f_px / focal.tele_f_px - 1),
+            _F_DEVIATION,
+            f"Matches want a tele focal length of {whole.rig.tele.f_px:.0f} px, EXIF says {focal.tele_f_px:.0f}: they "
+            "contradict each other; photograph a board.",
+        ),
         _at_most("focal ratio", whole.std.ratio_share, _F_STD, more),
         _at_most("held-out epipolar error", p90_px, limits_px, more),
         _at_most("odd/even difference", cross_px, limits_px, more),
