@@ -32,6 +32,7 @@ _MAX_MISFIT = 0.35  # root mean square residual over that contrast
 _SIGMA_PX = (0.2, 8.0)
 _SIDE_POSITIONS = np.linspace(0.12, 0.88, 25)
 _PROFILE = np.linspace(-1, 1, 41)
+_PROFILE_SHARES = (1.0, 0.5, 0.5)  # of the half length: long to find the side, short to keep noise out
 
 _LINEAR = linear_from_srgb(np.arange(256, dtype=np.float32) / np.float32(255)).astype(np.float64)
 
@@ -92,22 +93,27 @@ def refine_quads(grey_u8: GreyImage, quads_px: FloatArray, *, half_px: FloatArra
     Returns:
         The 4 N corners, in the order given.
     """
-    starts_px, ends_px = quads_px, np.roll(quads_px, -1, axis=1)
-    along = ends_px - starts_px
+    points_px, is_good = quads_px.astype(np.float64), np.ones(quads_px.shape[:2], dtype=np.bool_)
+    for share in _PROFILE_SHARES:
+        lines, is_line = _side_lines(grey_u8, points_px, half_px * share)
+        corners = np.cross(np.roll(lines, 1, axis=1), lines)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossings_px = corners[..., :2] / corners[..., 2:]
+        is_good &= is_line & np.roll(is_line, 1, axis=1) & np.isfinite(crossings_px).all(axis=-1)
+        is_good &= np.linalg.norm(np.nan_to_num(crossings_px) - quads_px, axis=-1) < 2 * half_px[:, None]
+        points_px = np.where(is_good[..., None], crossings_px, points_px)
+    return Refined(points_px.reshape(-1, 2), is_good.reshape(-1))
+
+
+def _side_lines(grey_u8: GreyImage, quads_px: FloatArray, half_px: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Lines (N, 4, 3), homogeneous, through what brightens near each side, side i from corner i on; whether found."""
+    along = np.roll(quads_px, -1, axis=1) - quads_px
     # Clockwise on a y-down picture: outwards is to the left of the way around.
     outwards = np.stack([along[..., 1], -along[..., 0]], axis=-1)
     outwards = outwards / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
-    at_px = starts_px[:, :, None] + _SIDE_POSITIONS[:, None] * along[:, :, None]
+    at_px = quads_px[:, :, None] + _SIDE_POSITIONS[:, None] * along[:, :, None]
     reach_px = half_px[:, None, None] * np.ones_like(at_px[..., 0])
-    edge_px, is_edge = _edges_on_profiles(grey_u8, at_px, outwards[:, :, None], reach_px)
-    lines, is_line = _fit_lines(edge_px, is_edge)
-    corners = np.cross(np.roll(lines, 1, axis=1), lines)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        points_px = corners[..., :2] / corners[..., 2:]
-    is_good = is_line & np.roll(is_line, 1, axis=1) & np.isfinite(points_px).all(axis=-1)
-    is_good &= np.linalg.norm(points_px - quads_px, axis=-1) < 2 * half_px[:, None]
-    points_px = np.where(is_good[..., None], points_px, quads_px)
-    return Refined(points_px.reshape(-1, 2), is_good.reshape(-1))
+    return _fit_lines(*_edges_on_profiles(grey_u8, at_px, outwards[:, :, None], reach_px))
 
 
 def _last_px(grey_u8: GreyImage) -> FloatArray:
