@@ -1,4 +1,8 @@
-"""How much sharper one view is than the other, read off their spectra.
+"""The asymmetric factor: how many times finer tele resolves the scene than wide.
+
+Three sources know it of photos as captured: a rig's intrinsics, the scale of matches, EXIF. They are compared here, and
+disagreement is said. On rectified views, enlarged to one size, only sharpness still tells of it; the rest of this page
+reads that off their spectra.
 
 Two rectified views of one scene hold the same power at coarse scales. Their amplitude ratio ``T(f) = |SRC| / |REF|``,
 1 at low frequencies, falls where src's optics and sampling give out. A view enlarged by a factor ``s`` loses half of
@@ -9,6 +13,9 @@ Letters: H W image.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,8 +28,86 @@ HALF_AMPLITUDE_CYCLES = 0.45
 SIGMA_PER_FACTOR_PX = np.sqrt(np.log(2.0) / 2.0) / (np.pi * HALF_AMPLITUDE_CYCLES)
 """Gaussian sigma per unit of the factor with the same half-amplitude frequency: ``exp(-2 pi^2 s^2 f^2) = 1/2``."""
 LARGEST_FACTOR = 16.0
+RIG_TOLERANCE = 0.03
+"""A rig and the matches of one pair that differ by more are not of one state of the lenses."""
+EXIF_TOLERANCE = 0.15
+"""EXIF rounds to whole millimetres, and its numbers are nominal: only more than this speaks against it."""
 _BANDS = 32
 _LOW_BANDS = slice(1, 4)
+
+
+@dataclass(frozen=True)
+class AsymmetryEstimate:
+    """``f_tele_px / f_wide_px`` of photos as captured, from each source that knows it.
+
+    Attributes:
+        rig: from the intrinsics of a calibrated rig.
+        matches: from the scale of matches of one pair of photos.
+        exif: from the focal lengths EXIF states.
+        factor: the one to use; None where no source knows it.
+        source: whose it is.
+        statements: one sentence for every disagreement.
+    """
+
+    rig: float | None
+    matches: float | None
+    exif: float | None
+    factor: float | None
+    source: Literal["rig", "matches", "exif"] | None
+    statements: tuple[str, ...]
+
+
+def compare_factors(
+    *, rig: float | None = None, matches: float | None = None, exif: float | None = None
+) -> AsymmetryEstimate:
+    """Choose the asymmetric factor and say where the sources disagree.
+
+    A rig is trusted over matches, matches over EXIF.
+
+    Args:
+        rig: :attr:`~telewide.geometry.rig.StereoRig.asymmetry`.
+        matches: scale of the matches of one pair.
+        exif: what :func:`factor_from_exif` says.
+
+    Returns:
+        The comparison: rig and matches more than 3 % apart are reported, EXIF only more than 15 % off the chosen one.
+    """
+    factor, source = _first_known(rig, matches, exif)
+    statements = []
+    if rig is not None and matches is not None and abs(matches / rig - 1.0) > RIG_TOLERANCE:
+        statements.append(
+            f"the rig states an asymmetric factor of {rig:.3f}, the matches of this pair show {matches:.3f}, "
+            f"{abs(matches / rig - 1.0):.1%} off: other lenses, a digital zoom, or photos of another size"
+        )
+    if exif is not None and factor is not None and abs(exif / factor - 1.0) > EXIF_TOLERANCE:
+        named = {"rig": "the rig states", "matches": "the matches show"}[source or "rig"]
+        statements.append(
+            f"EXIF states an asymmetric factor of {exif:.2f}, {named} {factor:.2f}: a digital zoom or a crop"
+        )
+    return AsymmetryEstimate(rig, matches, exif, factor, source, tuple(statements))
+
+
+def factor_from_exif(
+    *,
+    tele_f35_mm: float | None,
+    wide_f35_mm: float | None,
+    tele_hw: tuple[int, int] | None,
+    wide_hw: tuple[int, int] | None,
+) -> float | None:
+    """Asymmetric factor from 35 mm equivalents: ``f_px = f35_mm * width_px / 36``, width being the longer side.
+
+    Args:
+        tele_f35_mm: FocalLengthIn35mmFilm of tele.
+        wide_f35_mm: of wide.
+        tele_hw: size of tele's photo.
+        wide_hw: of wide's.
+
+    Returns:
+        The factor; None where something is not stated.
+    """
+    if not tele_f35_mm or not wide_f35_mm or tele_hw is None or wide_hw is None:
+        return None
+    return (tele_f35_mm * max(tele_hw)) / (wide_f35_mm * max(wide_hw))
 
 
 def estimate_asymmetry(ref: FloatImage, src: FloatImage) -> float | None:
@@ -66,6 +151,16 @@ def blur_to_bandwidth(image: FloatImage, *, factor: float) -> FloatImage:
     if sigma_px < 0.2:
         return image
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101), dtype=np.float32)
+
+
+def _first_known(
+    rig: float | None, matches: float | None, exif: float | None
+) -> tuple[float | None, Literal["rig", "matches", "exif"] | None]:
+    if rig is not None:
+        return rig, "rig"
+    if matches is not None:
+        return matches, "matches"
+    return exif, None if exif is None else "exif"
 
 
 def grey(image: FloatImage) -> FloatImage:

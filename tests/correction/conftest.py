@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from textures import textured
 
 from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.layers import Layer, LayeredScene, RenderedPair, render_pair
 
 HW = (240, 360)
-
-
-def textured(rng: np.random.Generator, *, hw: tuple[int, int]) -> NDArray[np.float32]:
-    """Colourful noise of all scales."""
-    image = np.zeros((*hw, 3), dtype=np.float32)
-    for sigma_px in (1.0, 2.0, 4.0, 9.0, 25.0):
-        noise = cv2.GaussianBlur(rng.standard_normal((*hw, 3)).astype(np.float32), (0, 0), sigma_px)
-        image += 0.1 * noise / noise.std()
-    return np.asarray(np.clip(0.5 + image, 0.05, 0.95), dtype=np.float32)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from telewide.correction.asymmetry import blur_to_bandwidth, estimate_asymmetry
+from telewide.correction.asymmetry import blur_to_bandwidth, compare_factors, estimate_asymmetry, factor_from_exif
 from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import RenderedPair
 
@@ -44,3 +44,31 @@ def test_blurring_by_a_factor_reads_as_that_factor(world: RenderedPair, factor: 
 
 def test_a_factor_of_one_changes_nothing(world: RenderedPair) -> None:
     assert blur_to_bandwidth(world.ref, factor=1.0) is world.ref
+
+
+def test_a_rig_goes_before_matches_and_matches_before_exif() -> None:
+    assert (compare_factors(rig=3.0, matches=3.02, exif=2.9).factor, compare_factors().factor) == (3.0, None)
+    assert compare_factors(matches=3.02, exif=2.9).source == "matches"
+    assert compare_factors(exif=2.9).source == "exif"
+    assert compare_factors(rig=3.0, matches=3.02, exif=2.9).statements == ()
+
+
+@pytest.mark.parametrize(("matches", "is_said"), [(3.08, False), (3.1, True), (2.92, False), (2.9, True)])
+def test_three_percent_between_rig_and_matches_are_said(matches: float, is_said: bool) -> None:
+    statements = compare_factors(rig=3.0, matches=matches).statements
+    assert len(statements) == is_said
+    assert all("3.000" in text and f"{matches:.3f}" in text for text in statements)
+
+
+@pytest.mark.parametrize(("exif", "is_said"), [(3.4, False), (3.5, True), (2.5, True)])
+def test_exif_is_doubted_beyond_fifteen_percent_only(exif: float, is_said: bool) -> None:
+    assert len(compare_factors(matches=3.0, exif=exif).statements) == is_said
+    assert len(compare_factors(rig=3.0, exif=exif).statements) == is_said
+
+
+def test_exif_counts_the_sizes_of_the_photos() -> None:
+    same = factor_from_exif(tele_f35_mm=80, wide_f35_mm=27, tele_hw=(3000, 4000), wide_hw=(4000, 3000))
+    assert same == pytest.approx(80 / 27)
+    half = factor_from_exif(tele_f35_mm=80, wide_f35_mm=27, tele_hw=(3000, 4000), wide_hw=(1500, 2000))
+    assert half == pytest.approx(2 * 80 / 27)
+    assert factor_from_exif(tele_f35_mm=None, wide_f35_mm=27, tele_hw=(3, 4), wide_hw=(3, 4)) is None
