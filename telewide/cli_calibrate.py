@@ -78,6 +78,7 @@ def calibrate(
         _say(stored, done.notes, observer)
         observer.said(f"rig: {done.rig}")
         observer.said(f"report: {done.report}")
+        _say_next(stored, observer)
     answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(stored, done.notes)}
     _hand_over(stored.quality, answer, as_json=as_json)
 
@@ -140,6 +141,7 @@ def _calibrate_scenes(
         done = calibrate_scenes(photos or CAPTURES_FOLDER, options=options, observer=observer)
         _say(done.stored, done.notes, observer)
         observer.said(f"rig: {done.rig}")
+        _say_next(done.stored, observer)
     _hand_over(done.stored.quality, {"rig": str(done.rig), **_json_of(done.stored, done.notes)}, as_json=as_json)
 
 
@@ -166,6 +168,11 @@ def _say(stored: StoredRig, notes: Sequence[str], observer: ConsoleObserver) -> 
             observer.warned(f"{check.status}: {check.name}: {check.advice}")
     std_m = stored.transform_std.baseline_m if stored.transform_std is not None else None
     observer.said(summary_line(stored.rig, stored.quality, baseline_std_m=std_m))
+
+
+def _say_next(stored: StoredRig, observer: ConsoleObserver) -> None:
+    if stored.quality.verdict != "insufficient":
+        observer.said("next: telewide train captures/")
 
 
 def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, as_json: bool) -> None:

@@ -113,9 +113,9 @@ def depth_figure(calibration: Calibration) -> str:
     rig, quality = calibration.rig, calibration.quality
     if not rig.is_scale_known:
         return "<p>Without the size of the board there is no depth in metres.</p>"
-    own_px = quality.epipolar_p50_px / _MEDIAN_OF_ABS_NORMAL
-    stds = [(f"matching to {_MATCHING_STD_PX} px", math.hypot(_MATCHING_STD_PX, own_px if own_px > 0 else 0.0))]
-    if math.isfinite(own_px):
+    own_px = _calibration_std_px(quality)
+    stds = [(f"matching to {_MATCHING_STD_PX} px", math.hypot(_MATCHING_STD_PX, own_px))]
+    if own_px > 0:
         stds.append((f"this calibration alone ({own_px:.2f} px)", own_px))
     depths_m = np.geomspace(0.25, 10.0, 60)
     lines = [
@@ -127,7 +127,8 @@ def depth_figure(calibration: Calibration) -> str:
         lines,
         x=Axis("distance, m", 0.25, 10.0, is_log=True),
         y=axis_over([0.0, highest], label="error of depth, % of the distance"),
-        caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity.",
+        caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity. That of "
+        "the calibration is from the held-out epipolar error or the odd against even photos, whichever is larger.",
     )
     head = "".join(f"<th>{html.escape(name)}</th>" for name, _ in stds)
     rows = "".join(
@@ -206,6 +207,16 @@ def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str
         f"{n_out} left out (red), with the error they would have." if n_out else "none was left out."
     )
     return bar_list(bars, unit="px", caption=caption)
+
+
+def _calibration_std_px(quality: CalibrationQuality) -> float:
+    """What the calibration itself may be off by along a row, tele px; 0 where nothing says so.
+
+    The rig from all photos is half as uncertain as the difference of two from half of them each, of which one of two
+    directions is along the row.
+    """
+    estimates = (quality.epipolar_p50_px / _MEDIAN_OF_ABS_NORMAL, quality.cross_validation_px / (2 * math.sqrt(2)))
+    return max((estimate for estimate in estimates if math.isfinite(estimate)), default=0.0)
 
 
 def _depth_cell(depth_m: float, calibration: Calibration, std_px: float) -> str:

@@ -1,0 +1,128 @@
+"""A rig without a board: what the command asks for, and what it finds on drawn scenes."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from photographed_boards import drawn_rig
+
+from telewide.calibration.rig_file import read_rig
+from telewide.capture.images import write_image
+from telewide.cli import main
+from telewide.geometry.rig import Camera, rigid_transform
+
+TEXTURE_WH = (1600, 1200)
+
+
+def run_cli(*words: str) -> int:
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    return int(left.value.code or 0)
+
+
+def f35_of_drawn_rig() -> str:
+    cameras = (drawn_rig().tele, drawn_rig().wide)
+    return ",".join(f"{camera.f_px * math.hypot(36, 24) / math.hypot(*camera.hw):.2f}" for camera in cameras)
+
+
+def texture(rng: np.random.Generator) -> NDArray[np.float32]:
+    """Noise of many sizes."""
+    layers = [
+        cv2.resize(rng.random((n * 3 // 4, n)).astype(np.float32), TEXTURE_WH, interpolation=cv2.INTER_CUBIC) / weight
+        for n, weight in ((20, 1), (80, 1.2), (260, 1.5), (800, 1.7))
+    ]
+    total = np.sum(layers, axis=0)
+    return np.asarray((total - total.min()) / np.ptp(total), dtype=np.float32)
+
+
+def photo(camera: Camera, camera_from_tele: NDArray[np.float64], planes: list[tuple]) -> NDArray[np.float32]:
+    """Draw textured planes, the farthest first, at twice the size, and shrink."""
+    fine_K = np.diag([2.0, 2.0, 1.0]) @ camera.K
+    fine_K[:2, 2] += 0.5
+    fine = np.full((2 * camera.hw[0], 2 * camera.hw[1]), 0.4, dtype=np.float32)
+    for tele_from_plane, image, width_m in planes:
+        plane_from_px = np.diag([width_m / TEXTURE_WH[0]] * 2 + [1.0]) @ np.array(
+            [[1, 0, -TEXTURE_WH[0] / 2], [0, 1, -TEXTURE_WH[1] / 2], [0, 0, 1]]
+        )
+        photo_from_px = fine_K @ (camera_from_tele @ tele_from_plane)[:3, [0, 1, 3]] @ plane_from_px
+        drawn = cv2.warpPerspective(image, photo_from_px, fine.shape[::-1])
+        covered = cv2.warpPerspective(np.ones_like(image), photo_from_px, fine.shape[::-1]) > 0.99
+        fine[covered] = drawn[covered]
+    small = cv2.resize(fine, camera.hw[::-1], interpolation=cv2.INTER_AREA)
+    return np.repeat(np.clip(small, 0, 1)[..., None], 3, axis=2)
+
+
+def write_scenes(folder: Path, *, count: int) -> Path:
+    """A wall 2 to 4 m away and two boards in front of it, photographed by the drawn rig."""
+    rng = np.random.default_rng(3)
+    rig = drawn_rig()
+    for number in range(count):
+        wall_m = rng.uniform(2, 4)
+        wall = rigid_transform(rotation=rng.uniform(-0.5, 0.5, 3), translation=np.array([0, 0, wall_m]))
+        planes = [(wall, texture(rng), 2.4 * wall_m)]
+        for _ in range(2):
+            near_m = rng.uniform(0.6, 1.3)
+            place_m = near_m * np.array([rng.uniform(-0.15, 0.15), rng.uniform(-0.1, 0.1), 1.0])
+            pose = rigid_transform(rotation=rng.uniform(-0.5, 0.5, 3), translation=place_m)
+            planes.append((pose, texture(rng), 0.18 * near_m))
+        for name, camera, transform in (("tele", rig.tele, np.eye(4)), ("wide", rig.wide, rig.wide_from_tele)):
+            write_image(folder / f"scene_{number}" / f"{name}.png", photo(camera, transform, planes))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--f35", "27,80"), "longer"),
+        (("--f35", "80"), "two numbers"),
+        (("--baseline-m", "12"), "metres"),
+        (("--board", "chessboard_9x6"), "--from-scenes"),
+    ],
+)
+def test_wrong_calls(words: tuple[str, ...], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("calibrate", str(tmp_path), "--from-scenes", *words) == 2
+    assert named in capsys.readouterr().err
+
+
+def test_options_of_scenes_do_not_go_with_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("calibrate", str(tmp_path), "--baseline-m", "0.012") == 2
+    assert "--from-scenes" in capsys.readouterr().err
+
+
+def test_photos_without_exif_need_their_focal_lengths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_cli("calibrate", "--from-scenes") == 2  # no captures/
+    for name in ("tele", "wide"):
+        write_image(tmp_path / "captures" / "one" / f"{name}.png", rng.random((96, 128, 3)).astype(np.float32))
+    capsys.readouterr()
+    assert run_cli("calibrate", "--from-scenes") == 3
+    assert "--f35" in capsys.readouterr().err
+    assert run_cli("calibrate", "--from-scenes", "--f35", "80,27") == 3  # one capture, and nothing to match in it
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+@pytest.mark.slow
+def test_drawn_scenes_give_the_ratio_and_say_what_they_cannot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scenes(tmp_path / "captures", count=8)
+    code = run_cli("calibrate", "--from-scenes", "--f35", f35_of_drawn_rig(), "--json")
+    answer = json.loads(capsys.readouterr().out)
+    assert code == (4 if answer["verdict"] == "insufficient" else 0)
+    assert answer["source"] == "scenes"
+    assert answer["baseline_m"] is None
+    assert answer["asymmetry"] == pytest.approx(drawn_rig().asymmetry, rel=0.005)
+    assert answer["epipolar_p90_px"] < 0.75 * answer["asymmetry"]
+    stored = read_rig(tmp_path / "rig.yaml")
+    assert not stored.rig.is_scale_known
+    assert {"zero of disparity", "focal length against EXIF"} <= {check.name for check in stored.quality.checks}
+    assert any("relative" in note for note in stored.facts.notes)
