@@ -2,13 +2,15 @@
 
 Between the pixels lies the cubic B-spline that passes through all of them (M. Unser, Splines: a perfect fit for signal
 and image processing, IEEE Signal Processing Magazine 16(6), 1999): sharper than cubic convolution, and exact where
-OpenCV's own cubic and Lanczos round positions to 1/32 px. Where the new grid is coarser the picture is first held to
+OpenCV's own cubic and Lanczos round positions to 1/32 px. It is built of OpenCV's linear interpolation, which rounds
+too before version 5; there Lanczos has to do. Where the new grid is coarser the picture is first held to
 what that grid can carry, by Keys' cubic stretched to its pixels.
 Letters: H W new grid; t a position between two pixels.
 """
 
 from __future__ import annotations
 
+import functools
 import os
 from concurrent.futures import ThreadPoolExecutor
 
@@ -41,7 +43,8 @@ def resample(image: FloatMap, map_x: FloatMap, map_y: FloatMap, *, shrink: float
     pad_px = _PAD_PX + int(2 * max(1.0, shrink))
     left, top = (max(0, int(axis.min()) - pad_px) for axis in (x, y))
     used = image[top : int(y.max()) + pad_px, left : int(x.max()) + pad_px]
-    kernel = _spline_coefficients_kernel()
+    is_exact = has_exact_positions()
+    kernel = _spline_coefficients_kernel() if is_exact else np.ones(1)
     if shrink > 1:
         kernel = np.convolve(kernel, _stretched_cubic(shrink))
     filtered = cv2.sepFilter2D(used, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101)
@@ -51,12 +54,20 @@ def resample(image: FloatMap, map_x: FloatMap, map_y: FloatMap, *, shrink: float
 
     def fill(first: int) -> None:
         band = slice(first, first + rows)
-        values = _spline_at(coefficients, x[band] - np.float32(left), y[band] - np.float32(top))
+        read = _spline_at if is_exact else _lanczos_at
+        values = read(coefficients, x[band] - np.float32(left), y[band] - np.float32(top))
         np.clip(values, 0, 1, out=result[band])
 
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
         list(pool.map(fill, range(0, map_x.shape[0], rows)))
     return result
+
+
+@functools.cache
+def has_exact_positions() -> bool:
+    """Whether this OpenCV interpolates linearly at any position, or rounds it to 1/32 px."""
+    ramp, at = np.array([[0, 1]], np.float32), np.full((1, 1), 0.01, np.float32)
+    return bool(abs(float(cv2.remap(ramp, at, 0 * at, cv2.INTER_LINEAR)[0, 0]) - 0.01) < 1e-4)
 
 
 def _spline_coefficients_kernel() -> NDArray[np.float64]:
@@ -90,6 +101,11 @@ def _spline_at(coefficients: FloatMap, x: FloatMap, y: FloatMap) -> FloatMap:
     lower += x_share * (fetch(x_after, y_after) - lower)
     upper += y_share * (lower - upper)
     return upper
+
+
+def _lanczos_at(values: FloatMap, x: FloatMap, y: FloatMap) -> FloatMap:
+    fetched = cv2.remap(values, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT_101)
+    return np.asarray(fetched, dtype=np.float32)
 
 
 def _for_all_channels(weight: FloatMap, shape: tuple[int, ...]) -> FloatMap:

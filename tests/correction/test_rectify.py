@@ -145,7 +145,7 @@ def test_a_photo_that_ends_is_marked_and_continued() -> None:
     assert np.isfinite(made.pair.wide).all()
     expected, _ = seen_in(made, is_src=True)
     inside = shifted(made.wide_valid, 6)
-    np.testing.assert_allclose(made.pair.wide[inside], expected[inside], atol=0.02)
+    np.testing.assert_allclose(made.pair.wide[inside], expected[inside], atol=0.04)
 
 
 def test_without_a_known_scale_there_is_no_baseline() -> None:
@@ -175,4 +175,4 @@ def test_a_pair_of_12_megapixels_takes_seconds(rng: np.random.Generator) -> None
     rectify_pair(tele, wide, rig=rig)
     begun_s = time.process_time()
     rectify_pair(tele, wide, rig=rig)
-    assert time.process_time() - begun_s < 12  # 2 s on two idle cores, of both; busy machines are slower
+    assert time.process_time() - begun_s < 5  # of all threads; 1.4 s measured

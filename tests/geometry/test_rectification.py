@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from rigs import PLACES_OF_WIDE_M, in_wide, phone, points_in_view
+from scipy import ndimage
 
 from telewide.errors import InputError
 from telewide.geometry.grids import dense_map
@@ -56,8 +57,8 @@ def test_tables_go_there_and_back_within_a_hundredth_of_a_pixel(place: str, rng:
     there_px = np.column_stack([to_x[rows, columns], to_y[rows, columns]])
     back_x, back_y = dense_map(geometry.tele_from_ref, hw=geometry.hw)
     interior = np.all((there_px > 0) & (there_px < np.array(geometry.hw[::-1]) - 1), axis=1)
-    at_x, at_y = there_px[interior].astype(np.float32).T
-    again_x, again_y = (cv2.remap(table, at_x, at_y, cv2.INTER_LINEAR).ravel() for table in (back_x, back_y))
+    at_y_x = there_px[interior].T[::-1]
+    again_x, again_y = (ndimage.map_coordinates(table.astype(float), at_y_x, order=1) for table in (back_x, back_y))
     np.testing.assert_allclose(again_x, columns[interior], atol=0.01)
     np.testing.assert_allclose(again_y, rows[interior], atol=0.01)
     assert interior.mean() > 0.95
