@@ -20,6 +20,26 @@ if TYPE_CHECKING:
     from telewide.progress import ConsoleObserver
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+PhotosArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[BOARDS|CAPTURES]", help="Folder of the photos. [default: boards/, or captures/ with --from-scenes]"
+    ),
+]
+BoardOption = Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Board. [default: found in the photos]")]
+SquareOption = Annotated[
+    float | None, typer.Option(metavar="M", help="Measured side of a square, metres. [default: the board's]")
+]
+ScenesOption = Annotated[
+    bool, typer.Option("--from-scenes", help="No board: find a rig from EXIF and the matches of captures.")
+]
+BaselineOption = Annotated[
+    float | None, typer.Option(metavar="M", help="Distance of the lenses, metres; with --from-scenes.")
+]
+F35Option = Annotated[
+    str | None,
+    typer.Option(metavar="TELE,WIDE", help="35 mm equivalents where EXIF has none, such as 80,27; with --from-scenes."),
+]
 CALIBRATE_EPILOG = (
     "Example: `telewide calibrate --square-m 0.0243`, with the photos in boards/; "
     "without a board: `telewide calibrate captures/ --from-scenes`"
@@ -28,32 +48,13 @@ SHOW_EPILOG = "Example: `telewide show rig.yaml`"
 
 
 def calibrate(
-    photos: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="[BOARDS|CAPTURES]",
-            help="Folder of the photos. [default: boards/, or captures/ with --from-scenes]",
-        ),
-    ] = None,
+    photos: PhotosArgument = None,
     *,
-    board: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Board. [default: found in the photos]")
-    ] = None,
-    square_m: Annotated[
-        float | None, typer.Option(metavar="M", help="Measured side of a square, metres. [default: the board's]")
-    ] = None,
-    from_scenes: Annotated[
-        bool, typer.Option("--from-scenes", help="No board: find a rig from EXIF and the matches of captures.")
-    ] = False,
-    baseline_m: Annotated[
-        float | None, typer.Option(metavar="M", help="Distance of the lenses, metres; with --from-scenes.")
-    ] = None,
-    f35: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TELE,WIDE", help="35 mm equivalents where EXIF has none, such as 80,27; with --from-scenes."
-        ),
-    ] = None,
+    board: BoardOption = None,
+    square_m: SquareOption = None,
+    from_scenes: ScenesOption = False,
+    baseline_m: BaselineOption = None,
+    f35: F35Option = None,
     out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = Path("rig.yaml"),
     seed: Annotated[int, typer.Option(help="Seed of the choice of photos held out.")] = 0,
     as_json: JsonOption = False,
