@@ -23,7 +23,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 PhotosArgument = Annotated[
     Path | None,
     typer.Argument(
-        metavar="[BOARDS|CAPTURES]", help="Folder of the photos. [default: boards/, or captures/ with --from-scenes]"
+        metavar="BOARDS|CAPTURES", help="Folder of the photos. [default: boards/, or captures/ with --from-scenes]"
     ),
 ]
 BoardOption = Annotated[str | None, typer.Option(metavar="NAME|FILE", help="Board. [default: found in the photos]")]
