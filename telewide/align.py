@@ -7,20 +7,25 @@ What was fitted is kept as plain numbers, so that results find back to the photo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
+from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
 from telewide.capture.exif import read_photo_facts, seconds_between
-from telewide.capture.pair import Capture, PhotoPair
+from telewide.capture.pair import Capture, CaptureSet, PhotoPair
 from telewide.correction.moving import MovedRegion, find_moving
 from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.shot import ShotRefinement, fit_shot, refined_rig
+from telewide.errors import UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
+from telewide.output.metric import DepthPrecision, lens_shift_std_px
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,8 @@ class Alignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """One sentence for everything a person should know."""
-        moved = f"{len(self.moved)} parts of the scene moved between the two photos; their depth is not trusted"
+        parts = "a part" if len(self.moved) == 1 else f"{len(self.moved)} parts"
+        moved = f"{parts} of the scene moved between the two photos; no depth there is trusted"
         return (*self.refinement.notes, moved) if self.moved else self.refinement.notes
 
 
@@ -76,6 +82,54 @@ def align_photos(
     return rectified, Alignment(refinement, moved, rectified.geometry)
 
 
+def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
+    """Find the rig that a set of captures is to be rectified with.
+
+    Args:
+        stated: the file its user named, or None.
+        captures: the set.
+
+    Returns:
+        The named rig; or ``rig.yaml`` in the captures' folder, beside it, or in the working folder; None where there
+        is none, or where captures.yaml states that the captures are rectified.
+
+    Raises:
+        UsageError: the named file does not exist, or the captures are stated to be rectified.
+        InputError: it is no rig.
+    """
+    if captures.facts.rectified:
+        if stated is not None:
+            raise UsageError(
+                f"--rig {stated}: captures.yaml of {captures.root} states that its captures are rectified",
+                hint="remove 'rectified: true' there, or leave --rig out",
+            )
+        return None
+    if stated is not None:
+        return read_rig(stated)
+    folders = (captures.root, captures.root.absolute().parent, Path.cwd())
+    return next((read_rig(folder / RIG_FILE) for folder in folders if (folder / RIG_FILE).is_file()), None)
+
+
+def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthPrecision:
+    """What all depths of a set are uncertain by: the rig's own deviations, and the lens's unseen shift.
+
+    Args:
+        alignments: of all shots, whose vertical offsets show how far the lens moves.
+        rig: the shots were rectified with.
+    """
+    tele = alignments[0].geometry.rig.tele
+    offsets_px = [alignment.refinement.vertical_offset_px for alignment in alignments if alignment.refinement.is_fitted]
+    return DepthPrecision(
+        baseline_std_m=0.0 if rig.transform_std is None else _known(rig.transform_std.baseline_m),
+        f_std_px=0.0 if rig.tele_std is None else _known(rig.tele_std.f_px) * tele.hw[1] / rig.rig.tele.hw[1],
+        lens_shift_std_px=lens_shift_std_px(offsets_px, width_px=max(tele.hw)),
+    )
+
+
+def _known(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
 def seconds_apart(capture: Capture) -> float | None:
     """Time between the two exposures of a capture, s; None where EXIF does not tell."""
     tele, wide = (read_photo_facts(path).taken for path in (capture.tele_path, capture.wide_path))
@@ -95,8 +149,8 @@ def plain_rig(rig: StereoRig) -> dict[str, object]:
     }
 
 
-def plain_alignment(alignment: Alignment) -> dict[str, object]:
-    """What an alignment adds to its rig, as plain data for a file; :func:`alignment_from_plain` undoes it exactly."""
+def alignment_as_json(alignment: Alignment) -> str:
+    """What an alignment adds to its rig, as JSON; :func:`alignment_from_json` undoes it exactly."""
     shot = alignment.refinement
     direction = shot.translation_direction
     arrays = {
@@ -105,19 +159,20 @@ def plain_alignment(alignment: Alignment) -> dict[str, object]:
         "translation_direction": None if direction is None else direction.tolist(),
     }
     rig = alignment.geometry.rig
-    return {
+    plain = {
         "tele_hw": list(rig.tele.hw),
         "wide_hw": list(rig.wide.hw),
         "refinement": {**vars(shot), **arrays, "notes": list(shot.notes)},
         "moved": [{**vars(region), "outline_px": region.outline_px.tolist()} for region in alignment.moved],
     }
+    return json.dumps(plain, indent=2) + "\n"
 
 
-def alignment_from_plain(plain: Mapping[str, Any], *, rig: StereoRig, working_width_px: int | None) -> Alignment:
-    """Read what :func:`plain_alignment` wrote.
+def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | None) -> Alignment:
+    """Read what :func:`alignment_as_json` wrote.
 
     Args:
-        plain: as it was written.
+        text: as it was written.
         rig: as calibrated, the one the alignment was made with.
         working_width_px: the one it was made with.
 
@@ -126,6 +181,7 @@ def alignment_from_plain(plain: Mapping[str, Any], *, rig: StereoRig, working_wi
         TypeError: a value is of another kind.
         ValueError: likewise.
     """
+    plain = json.loads(text)
     shot = dict(plain["refinement"])
     for name in ("rotation_vector", "rotation_std_rad", "translation_direction"):
         shot[name] = None if shot[name] is None else np.asarray(shot[name], dtype=np.float64)

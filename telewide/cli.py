@@ -20,6 +20,9 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from telewide.cli_benchmark import benchmark_app
+from telewide.cli_board import board
+from telewide.cli_calibrate import CALIBRATE_EPILOG, SHOW_EPILOG, calibrate, show
+from telewide.cli_import import IMPORT_EPILOG, import_photos
 from telewide.errors import TelewideError, UsageError
 from telewide.training.processes import this_process
 
@@ -41,12 +44,22 @@ app = typer.Typer(
     epilog="Example: `telewide train captures/`, then `telewide depth --bokeh`.",
 )
 
+app.command("import", epilog=IMPORT_EPILOG)(import_photos)
+app.command(epilog="Example: `telewide board chessboard_a4 --square-m 0.024 --out board.pdf`")(board)
+app.command(epilog=CALIBRATE_EPILOG)(calibrate)
+app.command(epilog=SHOW_EPILOG)(show)
 app.add_typer(benchmark_app, name="benchmark")
 
 CapturesArgument = Annotated[Path, typer.Argument(help="Folder of the captures.")]
 RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, or a YAML file.")]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe; may be repeated.")
+]
+RigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
+]
+DistanceOption = Annotated[
+    str | None, typer.Option(metavar="X,Y,M", help="A point of the tele photo and its distance, metres.")
 ]
 DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
@@ -84,6 +97,7 @@ def train(
     out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
     settings: SetOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
+    rig: RigOption = None,
     device: DeviceOption = "auto",
     seed: SeedOption = None,
     as_json: JsonOption = False,
@@ -96,7 +110,9 @@ def train(
     _check_device(device)
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
     with _observer(is_quiet=quiet) as observer:
-        outcome = train_captures(captures, run=out, recipe=resolved, fresh=fresh, device=device, observer=observer)
+        outcome = train_captures(
+            captures, run=out, recipe=resolved, fresh=fresh, device=device, observer=observer, rig=rig
+        )
         run_flag = f" --run {out}" if out is not None else ""
         captures_flag = f" {captures}" if captures != Path("captures") else ""
         observer.said(f"weights: {outcome.weights}")
@@ -125,6 +141,8 @@ def depth(
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,
     strength: StrengthOption = None,
+    rig: RigOption = None,
+    distance: DistanceOption = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: RUN/depth]")] = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -141,6 +159,8 @@ def depth(
         bokeh=_bokeh_options(focus=focus, f_number=f_number, strength=strength) if bokeh else None,
         out=out,
         device=device,
+        rig=rig,
+        distance=distance,
     )
     from telewide.pipeline import depth_captures, recipe_of_run
 
@@ -162,6 +182,8 @@ def run_everything(
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,
     strength: StrengthOption = None,
+    rig: RigOption = None,
+    distance: DistanceOption = None,
     device: DeviceOption = "auto",
     seed: SeedOption = None,
     as_json: JsonOption = False,
@@ -177,6 +199,8 @@ def run_everything(
         bokeh=_bokeh_options(focus=focus, f_number=f_number, strength=strength),
         out=None,
         device=device,
+        rig=rig,
+        distance=distance,
     )
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
     with _observer(is_quiet=quiet) as observer:
@@ -197,8 +221,18 @@ def simulate(
     height: Annotated[int, typer.Option(help="Height of tele, px.")] = 256,
     factor: Annotated[float, typer.Option(help="How many times fewer pixels wide has along each side.")] = 3.0,
     scene: Annotated[str, typer.Option(metavar="still-life|random", help="What is photographed.")] = "still-life",
+    phone: Annotated[
+        bool, typer.Option("--phone", help="Photos as a phone takes them, not rectified, and photos of a board.")
+    ] = False,
 ) -> None:
     """Write captures of a simulated world, with exact disparity beside them."""
+    if phone:
+        from telewide.simulate.phone import write_phone
+
+        write_phone(out, captures=captures, seed=seed, width=width)
+        typer.echo(f"wrote {captures} captures and photos of a board to {out}", err=True)
+        typer.echo(f"next: cd {out} && telewide calibrate --board chessboard_9x6 --square-m 0.025", err=True)
+        return
     from telewide.simulate.captures import write_captures
 
     folders = write_captures(out, count=captures, seed=seed, hw=(height, width), factor=factor, scene=scene)
@@ -280,8 +314,16 @@ def _check_device(device: str) -> None:
 
 
 def _depth_options(
-    *, method: str, weights: Path | None, bokeh: BokehOptions | None, out: Path | None, device: str
+    *,
+    method: str,
+    weights: Path | None,
+    bokeh: BokehOptions | None,
+    out: Path | None,
+    device: str,
+    rig: Path | None,
+    distance: str | None,
 ) -> DepthOptions:
+    from telewide.correction.pin import parse_known_distance
     from telewide.matcher import METHODS
     from telewide.pipeline import DepthOptions
 
@@ -290,7 +332,8 @@ def _depth_options(
         raise UsageError(f"--method {method}: expected {' or '.join(METHODS)}")
     if weights is not None and not weights.is_file():
         raise UsageError(f"{weights} does not exist; a weights file was expected")
-    return DepthOptions(method=method, weights=weights, bokeh=bokeh, out=out, device=device)
+    known = None if distance is None else parse_known_distance(distance)
+    return DepthOptions(method=method, weights=weights, bokeh=bokeh, out=out, device=device, rig=rig, known=known)
 
 
 def _bokeh_options(*, focus: str, f_number: float | None, strength: float | None) -> BokehOptions:

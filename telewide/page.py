@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.images import read_image
-from telewide.capture.pair import RectifiedPair
+from telewide.capture.pair import PhotoPair
 from telewide.capture.rundir import RunFolder
 from telewide.geometry.stereo import DisparityMap
 from telewide.output.depth import DepthResult
@@ -19,7 +19,7 @@ from telewide.output.preview import disparity_panel, display_range_px
 from telewide.output.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
 
 
-def report_row(pair: RectifiedPair, folder: Path, *, root: Path, numbers: Mapping[str, float]) -> ReportRow:
+def report_row(pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[str, float]) -> ReportRow:
     """The line of one capture: its photos, preview and bokeh, and its numbers.
 
     Args:

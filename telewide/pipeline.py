@@ -19,14 +19,17 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from telewide.capture.pair import CaptureSet, Problem, find_captures, read_pair
+from telewide.align import locate_rig, shot_precision
+from telewide.calibration.rig_file import StoredRig
+from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
+from telewide.correction.pin import KnownDistance
 from telewide.errors import InputError, UsageError
 from telewide.matcher import Matcher, choose_matcher
 from telewide.observer import Observer
 from telewide.options import parse_options
 from telewide.output.bokeh_picture import BokehOptions, check_bokeh
-from telewide.output.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
+from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
 from telewide.page import report_row, write_page
 from telewide.prepare import PreparedPair, PreparedSet, prepare_captures
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
@@ -46,6 +49,8 @@ class DepthOptions:
         bokeh: None for no bokeh picture.
         out: folder for the results, or None for ``depth/`` of the run.
         device: auto, cpu or cuda.
+        rig: rig file, or None for the one that lies by the captures.
+        known: a point of known distance, or None.
     """
 
     method: str = "network"
@@ -53,6 +58,8 @@ class DepthOptions:
     bokeh: BokehOptions | None = None
     out: Path | None = None
     device: str = "auto"
+    rig: Path | None = None
+    known: KnownDistance | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,14 @@ class DepthRun:
 
 
 def train_captures(
-    captures_root: Path, *, run: Path | None, recipe: Recipe, fresh: bool, device: str, observer: Observer
+    captures_root: Path,
+    *,
+    run: Path | None,
+    recipe: Recipe,
+    fresh: bool,
+    device: str,
+    observer: Observer,
+    rig: Path | None = None,
 ) -> TrainOutcome:
     """Train on a folder of captures, or continue.
 
@@ -84,6 +98,7 @@ def train_captures(
         fresh: start over where a training lies in the run folder.
         device: auto, cpu or cuda.
         observer: hears of it.
+        rig: rig file, or None for the one that lies by the captures.
 
     Returns:
         What was reached, and where the weights are.
@@ -92,7 +107,7 @@ def train_captures(
         TelewideError: see `prepare_captures` and `train_prepared`.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
-    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer) as call:
+    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig) as call:
         return _train(call, _prepare(call), fresh=fresh)
 
 
@@ -116,9 +131,9 @@ def depth_captures(
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
     device = "cpu" if options.method == "sgm" else options.device
-    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer) as call:
+    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
         # What can be refused is refused before any photo is read.
-        check_bokeh(options.bokeh, call.captures)
+        _check(call, options)
         matcher = _matcher(call, options)
         _make_folder(options.out or call.folder.depth)
         return _depth(call, _prepare(call), matcher, options=options)
@@ -142,8 +157,9 @@ def run_captures(
     Raises:
         TelewideError: see `train_captures` and `depth_captures`.
     """
-    with _begun(captures_root, run=run, recipe=recipe, device=options.device, observer=observer) as call:
-        check_bokeh(options.bokeh, call.captures)
+    device = options.device
+    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
+        _check(call, options)
         prepared = _prepare(call)
         _train(call, prepared, fresh=False)
         done = _depth(call, prepared, _matcher(call, options), options=options)
@@ -175,30 +191,45 @@ class _Call:
     device: str
     processes: Processes
     observer: Observer
+    rig: StoredRig | None
     begun_s: float = field(default_factory=time.monotonic)
 
 
 @contextmanager
 def _begun(
-    captures_root: Path, *, run: Path | None, recipe: Recipe, device: str, observer: Observer
+    captures_root: Path, *, run: Path | None, recipe: Recipe, device: str, observer: Observer, rig: Path | None
 ) -> Iterator[_Call]:
     folder, captures = locate_run(run, captures_root), find_captures(captures_root)
+    found_rig = locate_rig(rig, captures)
     with joined_processes(device) as processes:
-        yield _Call(captures, folder, recipe, device, processes, observer)
+        yield _Call(captures, folder, recipe, device, processes, observer, found_rig)
+
+
+def _check(call: _Call, options: DepthOptions) -> None:
+    rig = None if call.rig is None else call.rig.rig
+    check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
+    if options.known is not None and rig is None:
+        raise UsageError(
+            "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"
+        )
 
 
 def _prepare(call: _Call) -> PreparedSet:
     """Correct the pairs; of several processes each does its share, and then finds those of the others done."""
     captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
+    if call.rig is not None and call.rig.quality.verdict == "insufficient":
+        call.observer.said(
+            "the rig is marked insufficient: telewide show rig.yaml says what to photograph for a better one"
+        )
     call.observer.preparing(captures)
     if call.processes.world == 1:
-        prepared = prepare_captures(captures, call.folder, recipe=recipe, tick=heard)
+        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
     else:
         mine = replace(captures, captures=call.processes.share(captures.captures))
         with suppress(InputError):  # an empty share, or none of it fit for use, which is said of all together
-            prepare_captures(mine, call.folder, recipe=recipe, tick=heard)
+            prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
         call.processes.wait()
-        prepared = prepare_captures(captures, call.folder, recipe=recipe)
+        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
     call.observer.set_prepared(prepared)
     return prepared
 
@@ -268,6 +299,7 @@ def _depth_of(
     item: PreparedPair, call: _Call, prepared: PreparedSet, *, matcher: Matcher, options: DepthOptions
 ) -> DepthOutcome | DepthFailure:
     """Match one pair, bring the result to the photo's own size and edges, and write it."""
+    shot = _shot(item, prepared, options)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -275,12 +307,26 @@ def _depth_of(
         facts=prepared.facts,
         match=lambda ref, src: matcher.match(ref, src, window=matcher.window or prepared.window),
         bokeh=options.bokeh,
-        key=_depth_key(item, prepared, matcher, options=options),
+        key=_depth_key(item, prepared, matcher, options=options, shot=shot),
+        shot=shot,
     )
 
 
+def _shot(item: PreparedPair, prepared: PreparedSet, options: DepthOptions) -> ShotGeometry | None:
+    if item.alignment is None or prepared.rig is None:
+        return None
+    aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
+    precision = shot_precision(aligned, rig=prepared.rig)
+    return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, options.known)
+
+
 def _depth_key(
-    item: PreparedPair, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions
+    item: PreparedPair,
+    prepared: PreparedSet,
+    matcher: Matcher,
+    *,
+    options: DepthOptions,
+    shot: ShotGeometry | None,
 ) -> dict[str, object]:
     """What the files of one capture depend on; the pair's record names photos, facts and correction."""
     truth = item.source.truth_path
@@ -291,6 +337,8 @@ def _depth_key(
         "matcher": matcher.key,
         "window": None if matcher.window else prepared.window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
+        "precision": None if shot is None else asdict(shot.precision),
+        "known": None if options.known is None else asdict(options.known),
     }
 
 
@@ -306,7 +354,7 @@ def _report(call: _Call, done: DepthRun) -> Path:
     captures = {capture.name: capture for capture in call.captures.captures}
     rows = (
         report_row(
-            read_pair(captures[outcome.name]),
+            read_photos(captures[outcome.name]),
             done.folder / outcome.name,
             root=call.folder.root,
             numbers=outcome.numbers,

@@ -2,6 +2,7 @@
 
     run/pairs/<name>/{tele,wide}.png   corrected pair at the working size
     run/pairs/<name>/pair.json         what was measured, and from which files it was made
+    run/pairs/<name>/shot.json         with a rig: what moved in this shot
     run/pairs/<name>/matches.npz       matches, in corrected coordinates: fitted to, and held out
 
 With a rig the photos are rectified first, corrected for what moved in this shot; without one they are taken for
@@ -18,10 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.align import Alignment, align_photos, alignment_from_plain, plain_alignment, plain_rig, seconds_apart
+from telewide.align import Alignment, align_photos, alignment_as_json, alignment_from_json, plain_rig, seconds_apart
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
+from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
 from telewide.correction.held_out import HeldOut
@@ -35,6 +37,7 @@ from telewide.recipe import Recipe
 from telewide.training.samples import LABELS_NAME
 
 FORMAT = 2
+SHOT_NAME = "shot.json"
 LABEL_CONFIDENCE = 0.5
 
 
@@ -108,6 +111,7 @@ def prepare_captures(
     Raises:
         InputError: none can be used.
     """
+    captures = with_checked_lenses(captures)
     pairs: list[PreparedPair] = []
     problems = list(captures.problems)
     for capture in captures.captures:
@@ -156,8 +160,9 @@ def _prepare_pair(
         "key": key,
         "scale": scale,
         "report": dataclasses.asdict(report),
-        "alignment": None if alignment is None else plain_alignment(alignment),
     }
+    if alignment is not None:
+        write_text(folder / SHOT_NAME, alignment_as_json(alignment))
     write_text(folder / "pair.json", json.dumps(content, indent=2))
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is None:
@@ -227,9 +232,8 @@ def _read_kept(
             ref_px, src_px = matches["held_out_ref_px"], matches["held_out_src_px"]
         alignment = None
         if rig is not None:
-            alignment = alignment_from_plain(
-                content["alignment"], rig=rig.rig, working_width_px=recipe.working_width_px
-            )
+            text = (folder / SHOT_NAME).read_text(encoding="utf-8")
+            alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
     except (OSError, ValueError, KeyError, TypeError):
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")

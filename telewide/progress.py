@@ -72,11 +72,12 @@ class ConsoleObserver:
             for reason in pair.report.reasons:
                 self.said(f"{pair.report.verdict}: {pair.report.name}: {reason}")
         self._warn(prepared.problems)
-        if prepared.facts.rectified is None:
+        if prepared.facts.rectified is None and prepared.rig is None:
             worst_px = max((abs(pair.report.vertical_residual_px) for pair in prepared.pairs), default=math.nan)
             self._line(
                 f"note: nothing states that these captures are rectified; rows disagreed by up to {worst_px:.1f} px "
-                "(median of a pair) before correction. State rectified: true in captures.yaml if they are.",
+                "(median of a pair) before correction. State rectified: true in captures.yaml if they are; "
+                "make a rig if they are not: telewide calibrate",
             )
 
     def labelling(self, total: int) -> Callable[[], None]:

@@ -29,7 +29,10 @@ LAYERS = {
     "training": 5,
     "output": 6,
     "recipe": 7,
+    "align": 7,
     "prepare": 7,
+    "calibrate": 7,
+    "calibrate_scenes": 7,
     "observer": 7,
     "matcher": 7,
     "train": 7,
@@ -39,6 +42,9 @@ LAYERS = {
     "progress": 8,
     "cli": 8,
     "cli_benchmark": 8,
+    "cli_board": 8,
+    "cli_calibrate": 8,
+    "cli_import": 8,
     "__main__": 8,
 }
 MAX_POSITIONAL = 3

@@ -62,7 +62,7 @@ def match_errors_px(disparity_px: FloatMap, held_out: HeldOut) -> NDArray[np.flo
 
 
 def summarise_errors(errors_px: NDArray[np.float64]) -> dict[str, float]:
-    """Shares of matches off by more than 1 and 3 px, mean error, mean of errors clipped at 3 px; NaN without matches."""
+    """Shares of matches off by more than 1 and 3 px, mean error, mean of it clipped at 3 px; NaN without matches."""
     if not errors_px.size:
         return {"off_1px": math.nan, "off_3px": math.nan, "mean_px": math.nan, "clipped_px": math.nan, "matches": 0.0}
     return {

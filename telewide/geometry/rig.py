@@ -47,6 +47,8 @@ class Camera:
     def project(self, points_m: FloatArray) -> FloatArray:
         """Points (N, 3) in this camera's frame to (N, 2) px, distortion included."""
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 1, 3)
+        if len(points) == 0:
+            return np.zeros((0, 2))
         zero = np.zeros(3)
         projected, _ = cv2.projectPoints(points, zero, zero, self.K, self._coefficients())
         return np.asarray(projected, dtype=np.float64).reshape(-1, 2)
@@ -93,6 +95,12 @@ class StereoRig:
     def asymmetry(self) -> float:
         """``f_tele_px / f_wide_px`` of the photos as captured."""
         return self.tele.f_px / self.wide.f_px
+
+    def with_baseline(self, baseline_m: float) -> StereoRig:
+        """The same rig with its lenses a known distance apart."""
+        wide_from_tele = self.wide_from_tele.copy()
+        wide_from_tele[:3, 3] *= baseline_m / self.baseline_m
+        return replace(self, wide_from_tele=wide_from_tele, is_scale_known=True)
 
 
 def rigid_transform(*, rotation: FloatArray, translation: FloatArray) -> FloatArray:

@@ -39,22 +39,23 @@ class BokehOptions:
     f_number: float | None = None
 
 
-def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet) -> None:
+def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m: float | None = None) -> None:
     """Refuse a bokeh that no capture of a set can have, before hours are spent on the way to it.
 
     Args:
         bokeh: as asked for; None is always fine.
         captures: the set.
+        baseline_m: distance of the lenses where a rig states it; None asks what is stated of the captures.
 
     Raises:
         UsageError: an f-number without the lenses' distance, or a focus that is no word and no point of any tele photo.
     """
     if bokeh is None:
         return
-    if bokeh.f_number is not None and captures.facts.baseline_m is None:
+    if bokeh.f_number is not None and (baseline_m or captures.facts.baseline_m) is None:
         raise UsageError(
-            "--f-number needs the distance of the two lenses, which captures.yaml does not state",
-            hint="state baseline_m there, or give the blur in pixels with --strength",
+            "--f-number needs the distance of the two lenses, which neither a rig nor captures.yaml states",
+            hint="calibrate, state baseline_m in captures.yaml, or give the blur in pixels with --strength",
         )
     refusal: UsageError | None = None
     for capture in captures.captures:

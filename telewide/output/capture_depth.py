@@ -7,24 +7,46 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from telewide.capture.images import write_image
+from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.correction.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.correction.moving import MovedRegion, moving_mask
+from telewide.correction.pin import KnownDistance, pin_distance, pin_scale
+from telewide.correction.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError
+from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
-from telewide.output.depth import depth_result
+from telewide.output.depth import DepthResult, depth_result, depth_result_of_rig
 from telewide.output.edges import follow_edges
 from telewide.output.export import write_depth
 from telewide.output.kept import KEPT_NAME, KeptDepth, read_kept, write_kept
+from telewide.output.metric import DepthPrecision
 
 Match = Callable[[FloatMap, FloatMap], DisparityMap]
+
+
+@dataclass(frozen=True)
+class ShotGeometry:
+    """How the matched pair lies to the photos it was rectified from.
+
+    Attributes:
+        geometry: of the rectified views.
+        precision: what all depths of the shot share.
+        moved: parts of the tele photo that moved between the two exposures.
+        known: a point of known distance; None without.
+    """
+
+    geometry: RectifiedGeometry
+    precision: DepthPrecision
+    moved: tuple[MovedRegion, ...] = ()
+    known: KnownDistance | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +100,7 @@ def depth_of_capture(
     match: Match,
     bokeh: BokehOptions | None,
     key: Mapping[str, object],
+    shot: ShotGeometry | None = None,
 ) -> DepthOutcome | DepthFailure:
     """Make depth, and bokeh if asked, of one capture, unless the same lies there already.
 
@@ -89,6 +112,7 @@ def depth_of_capture(
         match: (ref, src), both (H, W, 3) in [0, 1], to the disparity of ref.
         bokeh: None for no bokeh picture.
         key: everything the files depend on, as plain data.
+        shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
 
     Returns:
         The files, and what was measured; or why there are none, where a photo, the truth or the bokeh asked for
@@ -98,7 +122,7 @@ def depth_of_capture(
         lying = made = read_kept(folder, key)
         if made is None:
             (folder / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
-            made = _make(source, held_out, folder, facts=facts, match=match, bokeh=bokeh)
+            made = _make(source, held_out, folder, facts=facts, match=match, bokeh=bokeh, shot=shot)
             write_kept(folder, made, key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -107,22 +131,54 @@ def depth_of_capture(
 
 
 def _make(
-    source: Capture, held_out: HeldOut, folder: Path, *, facts: CaptureFacts, match: Match, bokeh: BokehOptions | None
+    source: Capture,
+    held_out: HeldOut,
+    folder: Path,
+    *,
+    facts: CaptureFacts,
+    match: Match,
+    bokeh: BokehOptions | None,
+    shot: ShotGeometry | None,
 ) -> KeptDepth:
     begun_s = time.monotonic()
     pair = read_pair(held_out.capture)
     working = match(pair.tele, pair.wide)
     matched_s = time.monotonic()
-    photo = read_pair(source, facts=facts).tele
-    disparity = on_photo(working, photo)
-    written = write_depth(folder, depth_result(source.name, disparity, facts=facts), image=photo)
+    if shot is None:
+        photo = read_pair(source, facts=facts).tele
+        result = depth_result(source.name, on_photo(working, photo), facts=facts)
+    else:
+        photo = read_image(source.tele_path)
+        result = _result_of_shot(source.name, working, photo, shot=shot)
+    written = write_depth(folder, result, image=photo)
     names = [path.name for path in written.paths]
     if bokeh is not None:
         names.append("bokeh.jpg")
-        write_image(folder / names[-1], bokeh_picture(photo, disparity, options=bokeh, baseline_m=facts.baseline_m))
+        write_image(
+            folder / names[-1],
+            bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m),
+        )
     numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s}
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
-    return KeptDepth(tuple(names), written.notes, numbers | _errors_of_truth(source, disparity.disparity_px))
+    return KeptDepth(tuple(names), written.notes, numbers | _errors_of_truth(source, result.disparity.disparity_px))
+
+
+def _result_of_shot(name: str, working: DisparityMap, photo: FloatMap, *, shot: ShotGeometry) -> DepthResult:
+    """Bring a map of the rectified view to the tele photo as it was taken, and into metres."""
+    geometry, precision = shot.geometry, shot.precision
+    if shot.known is not None and geometry.rig.is_scale_known:
+        pin = pin_distance(working.disparity_px, shot.known, geometry=geometry)
+        geometry = replace(geometry, doffs_px=pin.doffs_px)
+        precision = replace(precision, lens_shift_std_px=pin.std_px / geometry.scale)
+    elif shot.known is not None:
+        baseline_m = pin_scale(working.disparity_px, shot.known, geometry=geometry)
+        geometry = replace(geometry, rig=geometry.rig.with_baseline(baseline_m))
+    on_tele = disparity_on_tele(working, geometry=geometry)
+    moved = moving_mask(shot.moved, hw=photo.shape[:2])
+    confidence = np.where(moved, np.float32(0), on_tele.confidence)
+    followed_px = follow_edges(on_tele.disparity_px, photo, confidence=confidence, valid=on_tele.valid & ~moved)
+    disparity = DisparityMap(followed_px, confidence, on_tele.valid & ~moved)
+    return depth_result_of_rig(name, disparity, rig=geometry.rig, precision=precision, matched_scale=geometry.scale)
 
 
 def _errors_of_truth(source: Capture, disparity_px: FloatMap) -> dict[str, float]:
