@@ -14,95 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.spatial.transform import Rotation
 
 from telewide.calibration.distortion import N_LENS, project, project_with_derivatives
+from telewide.calibration.problem import N_SHARED, RIG, Problem, Sightings, State
 
 FloatArray = NDArray[np.float64]
 
-N_SHARED = 2 * N_LENS + 6
-RIG = slice(2 * N_LENS, N_SHARED)
 SOFT = 3.0
 """Standard deviations from which on a corner's pull no longer grows."""
 _STEPS = 60
 _FLAT = 1e-8
 _DAMPING_MAX = 1e12
 _DAMPING_MAX_POSES = 1e4
-
-
-@dataclass(frozen=True)
-class Sightings:
-    """All views of one lens.
-
-    Attributes:
-        shot: (V,) index of each view's shot, ascending.
-        points_px: (V, N, 2) corners by id; 0 where unseen.
-        is_seen: (V, N) which corners a view shows.
-        hw: height and width of the photos.
-    """
-
-    shot: NDArray[np.int64]
-    points_px: FloatArray
-    is_seen: NDArray[np.bool_]
-    hw: tuple[int, int]
-
-    def only(self, chosen: NDArray[np.bool_]) -> Sightings:
-        """The views chosen by a (V,) mask."""
-        return replace(self, shot=self.shot[chosen], points_px=self.points_px[chosen], is_seen=self.is_seen[chosen])
-
-
-@dataclass(frozen=True)
-class State:
-    """A guess of everything.
-
-    Attributes:
-        lenses: (2, 12) tele, wide.
-        rig_R: (3, 3) of ``wide_from_tele``.
-        rig_t: (3,) of ``wide_from_tele``.
-        pose_R: (S, 3, 3) of ``tele_from_board``.
-        pose_t: (S, 3) of ``tele_from_board``.
-    """
-
-    lenses: FloatArray
-    rig_R: FloatArray
-    rig_t: FloatArray
-    pose_R: FloatArray
-    pose_t: FloatArray
-
-    def points_m(self, board_m: FloatArray, *, lens: int, shot: NDArray[np.int64]) -> FloatArray:
-        """Corners (N, 3) of the board in a lens's frame, (V, N, 3) for V shots."""
-        in_tele = board_m @ self.pose_R[shot].transpose(0, 2, 1) + self.pose_t[shot][:, None]
-        return in_tele if lens == 0 else in_tele @ self.rig_R.T + self.rig_t
-
-    def moved(self, shared: FloatArray, poses: FloatArray) -> State:
-        """This state after a step: (30,) shared numbers, (S, 6) turns and shifts of the poses in the tele frame."""
-        rig_step = shared[RIG]
-        return State(
-            lenses=self.lenses + shared[: 2 * N_LENS].reshape(2, N_LENS),
-            rig_R=Rotation.from_rotvec(rig_step[:3]).as_matrix() @ self.rig_R,
-            rig_t=self.rig_t + rig_step[3:],
-            pose_R=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ self.pose_R,
-            pose_t=self.pose_t + poses[:, 3:],
-        )
-
-
-@dataclass(frozen=True)
-class Problem:
-    """What was seen, how exactly, and what is believed beforehand.
-
-    Attributes:
-        board_m: (N, 3) corners by id.
-        views: sightings of tele and wide; None for a lens that is not there.
-        sigma_px: noise of a corner along x or y, tele and wide, px.
-        prior: (2, 12) centre of the lenses' prior.
-        prior_std: (2, 12) its standard deviation.
-    """
-
-    board_m: FloatArray
-    views: tuple[Sightings | None, Sightings | None]
-    sigma_px: tuple[float, float]
-    prior: FloatArray
-    prior_std: FloatArray
 
 
 @dataclass(frozen=True)
@@ -311,7 +234,7 @@ def solve_poses(problem: Problem, start: State, *, steps: int = _STEPS) -> State
     pose_R, pose_t = start.pose_R.copy(), start.pose_t.copy()
     moving = np.unique(np.concatenate([views.shot for views in problem.views if views is not None]))
     damping = np.full(len(pose_t), 1e-3)
-    part, state = _of_shots(problem, start, shots=moving)
+    part, state = _renumbered(problem, start, shots=moving)
     costs = shot_costs(part, state)
     for _ in range(steps):
         pose, pull = _pose_equations(part, state)
@@ -329,11 +252,11 @@ def solve_poses(problem: Problem, start: State, *, steps: int = _STEPS) -> State
             break
         costs = np.where(is_better, trial_costs, costs)[~rests]
         moving = moving[~rests]
-        part, state = _of_shots(problem, replace(start, pose_R=pose_R, pose_t=pose_t), shots=moving)
+        part, state = _renumbered(problem, replace(start, pose_R=pose_R, pose_t=pose_t), shots=moving)
     return replace(start, pose_R=pose_R, pose_t=pose_t)
 
 
-def _of_shots(problem: Problem, state: State, *, shots: NDArray[np.int64]) -> tuple[Problem, State]:
+def _renumbered(problem: Problem, state: State, *, shots: NDArray[np.int64]) -> tuple[Problem, State]:
     """The part of a problem that some shots are, renumbered from 0."""
     parts: list[Sightings | None] = []
     for views in problem.views:

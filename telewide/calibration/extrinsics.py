@@ -10,18 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.bundle import (
-    N_SHARED,
-    RIG,
-    Problem,
-    Sightings,
-    State,
-    shot_costs,
-    solve_bundle,
-)
+from telewide.calibration.bundle import shot_costs, solve_bundle
 from telewide.calibration.distortion import camera_of
 from telewide.calibration.intrinsics import agrees
 from telewide.calibration.poses import noise_px, placed, view_scale_px
+from telewide.calibration.problem import N_SHARED, RIG, Problem, Sightings, State
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -55,7 +48,7 @@ class Agreement:
 
 def joint_shots(problem: Problem) -> BoolArray:
     """(S,) up to the last shot seen: which shots both lenses saw."""
-    tele, wide = _both(problem)
+    tele, wide = problem.both
     seen = np.zeros((2, 1 + max(tele.shot.max(), wide.shot.max())), dtype=bool)
     seen[0, tele.shot], seen[1, wide.shot] = True, True
     return np.asarray(seen[0] & seen[1])
@@ -76,7 +69,7 @@ def first_rig(problem: Problem, poses_in_tele: State, poses_in_wide: State) -> S
     turns = poses_in_wide.pose_R[joint] @ poses_in_tele.pose_R[joint].transpose(0, 2, 1)
     shifts = poses_in_wide.pose_t[joint] - np.einsum("sij,sj->si", turns, poses_in_tele.pose_t[joint])
     lenses = np.stack([poses_in_tele.lenses[0], poses_in_wide.lenses[0]])
-    seen_by_both = of_shots(problem, np.isin(np.arange(len(poses_in_tele.pose_t)), joint))
+    seen_by_both = problem.of_shots(np.isin(np.arange(len(poses_in_tele.pose_t)), joint))
     guesses = [
         replace(poses_in_tele, lenses=lenses, rig_R=turns[k], rig_t=shifts[k])
         for k in np.unique(np.linspace(0, len(joint) - 1, min(len(joint), _GUESSES)).astype(int))
@@ -87,7 +80,7 @@ def first_rig(problem: Problem, poses_in_tele: State, poses_in_wide: State) -> S
 
 
 def _with_wide_poses(problem: Problem, state: State, poses_in_wide: State) -> State:
-    tele, wide = _both(problem)
+    tele, wide = problem.both
     alone = np.setdiff1d(wide.shot, tele.shot)
     pose_R, pose_t = state.pose_R.copy(), state.pose_t.copy()
     pose_R[alone] = state.rig_R.T @ poses_in_wide.pose_R[alone]
@@ -111,13 +104,13 @@ def settled_rig(problem: Problem, start: State) -> State:
     free[RIG] = True
     state, better = start, joint
     for _ in range(_ROUNDS):
-        state = placed(of_shots(problem, joint), state)
+        state = placed(problem.of_shots(joint), state)
         with np.errstate(over="ignore", invalid="ignore"):
-            costs = np.where(joint, shot_costs(of_shots(problem, joint), state) / _corners(problem, joint), np.inf)
+            costs = np.where(joint, shot_costs(problem.of_shots(joint), state) / _corners(problem, joint), np.inf)
         before, better = better, costs <= np.median(costs[joint])
         if np.array_equal(before, better):
             break
-        state = solve_bundle(of_shots(problem, better), state, free=free)
+        state = solve_bundle(problem.of_shots(better), state, free=free)
     return state
 
 
@@ -132,7 +125,7 @@ def agreement(problem: Problem, state: State) -> Agreement:
         The sorted views.
     """
     n_shots = len(state.pose_t)
-    views = _both(problem)
+    views = problem.both
     both = placed(problem, state)
     apart = [placed(replace(problem, views=one), both) for one in ((views[0], None), (None, views[1]))]
     alone_px = tuple(_by_shot(view_scale_px(problem, apart[k], lens=k), views[k], n_shots) for k in (0, 1))
@@ -175,15 +168,9 @@ def solve_together(problem: Problem, start: State, *, free: BoolArray) -> tuple[
     return problem, solve_bundle(problem, state, free=free)
 
 
-def of_shots(problem: Problem, shots: BoolArray) -> Problem:
-    """The part of a problem that some shots, (S,) bool, are."""
-    tele, wide = _both(problem)
-    return replace(problem, views=(tele.only(shots[tele.shot]), wide.only(shots[wide.shot])))
-
-
 def used_views(problem: Problem, agreed: Agreement) -> Problem:
     """The part of a problem that agrees."""
-    tele, wide = _both(problem)
+    tele, wide = problem.both
     return replace(problem, views=(tele.only(agreed.is_used(0)[tele.shot]), wide.only(agreed.is_used(1)[wide.shot])))
 
 
@@ -200,7 +187,7 @@ def epipolar_errors_px(problem: Problem, state: State) -> FloatArray:
     Returns:
         (n,) distances, tele px, of all corners that both views of a shot show.
     """
-    tele, wide = _both(problem)
+    tele, wide = problem.both
     t = state.rig_t
     cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
     E = cross @ state.rig_R
@@ -222,16 +209,9 @@ def _rays(normalised: FloatArray) -> FloatArray:
     return np.column_stack([normalised, np.ones(len(normalised))])
 
 
-def _both(problem: Problem) -> tuple[Sightings, Sightings]:
-    tele, wide = problem.views
-    assert tele is not None
-    assert wide is not None
-    return tele, wide
-
-
 def _corners(problem: Problem, shots: BoolArray) -> FloatArray:
     counts = np.zeros(len(shots))
-    for views in _both(problem):
+    for views in problem.both:
         np.add.at(counts, views.shot, views.is_seen.sum(axis=1))
     return np.maximum(counts, 1.0)
 

@@ -12,33 +12,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.bundle import N_SHARED, Problem, Sightings, State, residuals_px, solve_bundle, solve_poses
-from telewide.calibration.distortion import (
-    ASPECT,
-    BELIEVED,
-    CX,
-    CY,
-    LADDER,
-    N_LENS,
-    NARROW_LADDER,
-    F,
-    is_one_to_one,
-    prior_of_lens,
-)
+from telewide.calibration.bundle import solve_bundle
+from telewide.calibration.distortion import LADDER, N_LENS, F, prior_of_lens
+from telewide.calibration.models import best_model, free_numbers, ladder
 from telewide.calibration.poses import noise_px, placed, unplaced, view_scale_px
+from telewide.calibration.problem import Problem, Sightings, State
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-NARROW = 0.35
-"""Tangent of the half diagonal angle below which a lens counts as long."""
 DISAGREES = 3.0
 """A view whose typical error is this many times the others' does not agree with them."""
 _NEGLIGIBLE_PX = 0.05
 _ROUNDS = 8
-_FOLDS = 4
-_RARE = 2.0
-"""Standard errors by which what few lenses have must help: higher powers, pixels that are not square."""
 
 
 @dataclass(frozen=True)
@@ -48,23 +34,17 @@ class LensFit:
     Attributes:
         lens: (12,) the lens.
         free: (12,) bool, which numbers were fitted.
-        model: name of the distortion model.
         sigma_px: noise of a corner along x or y.
         prior: (12,) and (12,): centre and standard deviation of what was believed before.
         is_used: (V,) the views that agree.
-        scale_px: (V,) typical error of every view along x or y.
-        problem: the views, as tele views.
-        state: the fit.
+        state: the fit, with the lens as its tele lens.
     """
 
     lens: FloatArray
     free: BoolArray
-    model: str
     sigma_px: float
     prior: tuple[FloatArray, FloatArray]
     is_used: BoolArray
-    scale_px: FloatArray
-    problem: Problem
     state: State
 
 
@@ -85,11 +65,11 @@ def fit_lens(views: Sightings, *, board_m: FloatArray, n_shots: int, rng: np.ran
     extent_m = float(np.ptp(board_m, axis=0).max())
     problem, state, is_used = _agreeing(problem, unplaced(problem.prior, n_shots=n_shots, distance_m=3 * extent_m))
     names = ladder(views.hw, f_px=float(state.lenses[0, F]))
-    model, free = _best_model(_restricted(problem, is_used), state, names=names, rng=rng)
-    state = solve_bundle(_restricted(problem, is_used), reset(state, free=free), free=_shared(free))
+    chosen = replace(problem, views=(views.only(is_used), None))
+    free = best_model(chosen, state, names=names, rng=rng)
+    state = solve_bundle(chosen, state.held(free), free=free)
     state = _placed_left_out(problem, state, is_used=is_used)
-    scale_px = view_scale_px(problem, state, lens=0)
-    return LensFit(state.lenses[0], free, model, problem.sigma_px[0], prior, is_used, scale_px, problem, state)
+    return LensFit(state.lenses[0], free[:N_LENS], problem.sigma_px[0], prior, is_used, state)
 
 
 def first_focal_px(views: Sightings, *, board_m: FloatArray) -> float:
@@ -134,12 +114,6 @@ def _weighted_median(values: Sequence[float], weights: Sequence[float]) -> float
     return float(np.asarray(values)[order][np.searchsorted(total, total[-1] / 2)])
 
 
-def ladder(hw: tuple[int, int], *, f_px: float) -> tuple[str, ...]:
-    """Distortion models worth trying for a lens, simplest first."""
-    is_narrow = float(np.hypot(*hw)) / 2 / f_px < NARROW
-    return NARROW_LADDER if is_narrow else tuple(LADDER)
-
-
 def _first_noise_px(hw: tuple[int, int]) -> float:
     return max(hw) / 1000
 
@@ -154,10 +128,9 @@ def _agreeing(problem: Problem, state: State) -> tuple[Problem, State, BoolArray
         before, is_used = is_used, agrees(view_scale_px(problem, state, lens=0))
         if turn > 2 and np.array_equal(before, is_used):
             break
-        chosen = _restricted(problem, is_used)
-        model = ("none", "k1", "k1k2p1p2")[min(turn, 2)]
-        free = mask_of(model) if turn else _only(F)
-        state = solve_bundle(chosen, state, free=_shared(free))
+        chosen = replace(problem, views=(views.only(is_used), None))
+        numbers = (F,) if turn == 0 else LADDER["k1"] if turn == 1 else LADDER["k1k2p1p2"]
+        state = solve_bundle(chosen, state, free=free_numbers(numbers, lens=0))
         sigma_px = noise_px(chosen, state, lens=0)
         problem = replace(problem, sigma_px=(sigma_px, 1.0))
     return problem, state, is_used
@@ -179,38 +152,6 @@ def agrees(scale_px: FloatArray) -> BoolArray:
     return np.asarray(scale_px <= max(DISAGREES * float(np.percentile(finite, 100 / 3)), _NEGLIGIBLE_PX))
 
 
-def mask_of(model: str) -> BoolArray:
-    """(12,) bool: the numbers of a lens that a distortion model lets free."""
-    return _only(*LADDER[model])
-
-
-def _only(*numbers: int) -> BoolArray:
-    free = np.zeros(N_LENS, dtype=bool)
-    free[list(numbers)] = True
-    return free
-
-
-def _shared(free: BoolArray) -> BoolArray:
-    shared = np.zeros(N_SHARED, dtype=bool)
-    shared[:N_LENS] = free
-    return shared
-
-
-def _restricted(problem: Problem, chosen: BoolArray) -> Problem:
-    views = problem.views[0]
-    assert views is not None
-    return replace(problem, views=(views.only(chosen), None))
-
-
-def reset(state: State, *, free: BoolArray) -> State:
-    """The state with the tele lens's numbers that are not free at what no photo told: no distortion, square pixels."""
-    lenses = state.lenses.copy()
-    held = ~free
-    held[[F, CX, CY]] = False
-    lenses[0, held] = 0.0
-    return replace(state, lenses=lenses)
-
-
 def _placed_left_out(problem: Problem, state: State, *, is_used: BoolArray) -> State:
     """Boards of the views left out, placed as well as this lens allows."""
     if is_used.all():
@@ -225,50 +166,3 @@ def _placed_left_out(problem: Problem, state: State, *, is_used: BoolArray) -> S
         pose_R=np.where(used[:, None, None], state.pose_R, anew.pose_R),
         pose_t=np.where(used[:, None], state.pose_t, anew.pose_t),
     )
-
-
-def _best_model(
-    problem: Problem, state: State, *, names: Sequence[str], rng: np.random.Generator
-) -> tuple[str, BoolArray]:
-    """Climb the ladder as long as held-out views are explained better, by a standard error or, where rare, by two."""
-    views = problem.views[0]
-    assert views is not None
-    folds = rng.permutation(len(views.shot)) % min(_FOLDS, len(views.shot))
-    best, best_free = names[0], mask_of(names[0])
-    best_errors = _held_out_errors(problem, state, free=best_free, folds=folds)
-    candidates = [(name, mask_of(name)) for name in names[1:]]
-    while candidates:
-        name, free = candidates.pop(0)
-        errors = _held_out_errors(problem, state, free=free, folds=folds)
-        if _is_better(errors, best_errors, by=_RARE if len(LADDER[name]) > len(BELIEVED) else 1.0):
-            best, best_free, best_errors = name, free, errors
-    with_aspect = best_free.copy()
-    with_aspect[ASPECT] = True
-    if _is_better(_held_out_errors(problem, state, free=with_aspect, folds=folds), best_errors, by=_RARE):
-        best, best_free = f"{best}+aspect", with_aspect
-    return best, best_free
-
-
-def _is_better(errors: FloatArray, best: FloatArray, *, by: float) -> bool:
-    gains = best - errors
-    if not np.isfinite(gains).all() or len(gains) < 2:
-        return False
-    return bool(gains.mean() > by * gains.std(ddof=1) / np.sqrt(len(gains)))
-
-
-def _held_out_errors(problem: Problem, state: State, *, free: BoolArray, folds: NDArray[np.int64]) -> FloatArray:
-    """Mean squared held-out error of every view, in units of the noise, growing only linearly when far off."""
-    views = problem.views[0]
-    assert views is not None
-    errors = np.full(len(views.shot), np.inf)
-    for fold in range(folds.max() + 1):
-        out = folds == fold
-        fitted = solve_bundle(_restricted(problem, ~out), reset(state, free=free), free=_shared(free))
-        if not is_one_to_one(fitted.lenses[0], hw=views.hw):
-            continue
-        held_out = _restricted(problem, out)
-        settled = solve_poses(held_out, fitted)
-        squared = np.sum(residuals_px(held_out, settled, lens=0) ** 2, axis=-1) / problem.sigma_px[0] ** 2
-        soft = 18 * (np.sqrt(1 + squared / 9) - 1)
-        errors[out] = soft.sum(axis=1) / views.is_seen[out].sum(axis=1)
-    return errors

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from telewide.calibration.bundle import Problem, Sightings, State, residuals_px, shot_costs, solve_poses
+from telewide.calibration.bundle import residuals_px, shot_costs, solve_poses
 from telewide.calibration.distortion import camera_of
+from telewide.calibration.problem import Problem, Sightings, State
 
 FloatArray = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from telewide.calibration.bundle import Sightings
 from telewide.calibration.detect import BoardView
+from telewide.calibration.problem import Sightings
 from telewide.calibration.result import Lens
 from telewide.calibration.shots import DetectedShot
 from telewide.errors import InputError

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.bundle import N_SHARED, RIG, Problem, State
 from telewide.calibration.checks import Evidence, quality_of
 from telewide.calibration.distortion import ASPECT, BELIEVED, CX, CY, N_LENS, F, n_coefficients
 from telewide.calibration.extrinsics import (
@@ -25,6 +24,8 @@ from telewide.calibration.extrinsics import (
     used_views,
 )
 from telewide.calibration.intrinsics import LensFit, fit_lens
+from telewide.calibration.models import free_numbers, raised_models
+from telewide.calibration.problem import N_SHARED, RIG, Problem, State
 from telewide.calibration.result import BoardPose, Calibration, CameraStd, TransformStd
 from telewide.calibration.shots import DetectedShot
 from telewide.calibration.sightings import Gathered, gather, square_px
@@ -73,6 +74,9 @@ def calibrate_rig(
     free = np.concatenate([fits[0].free, fits[1].free, np.ones(6, dtype=bool)])
     _refuse_exchanged(fits, gathered)
     solution = _solved(fits, gathered, board_m=board_points_m, free=free)
+    free = raised_models(solution.problem, solution.state, free=free, rng=rng)
+    problem, state = solve_together(solution.problem, solution.state, free=free)
+    solution = replace(solution, problem=problem, state=state)
     sure = uncertainty(solution.problem, solution.state, free=_doubted(free))
     validation = validate(solution.problem, solution.state, free=free, rng=rng)
     sizes = {"tele_hw": gathered.views[0].hw, "wide_hw": gathered.views[1].hw}
@@ -102,10 +106,7 @@ def calibrate_rig(
 
 def _doubted(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The fitted numbers, and those that were held because the photos do not tell them, which makes others unsure."""
-    doubted = free.copy()
-    for lens in (0, 1):
-        doubted[lens * N_LENS + np.array(BELIEVED)] = True
-    return doubted
+    return free | free_numbers(BELIEVED, lens=0) | free_numbers(BELIEVED, lens=1)
 
 
 def _refuse_exchanged(fits: Sequence[LensFit], gathered: Gathered) -> None:

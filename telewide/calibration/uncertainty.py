@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.bundle import SOFT, Problem, State, normal_equations, residuals_px, with_prior
+from telewide.calibration.bundle import SOFT, normal_equations, residuals_px, with_prior
+from telewide.calibration.problem import Problem, State
 
 FloatArray = NDArray[np.float64]
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.bundle import Problem, State, solve_bundle
+from telewide.calibration.bundle import solve_bundle
 from telewide.calibration.distortion import camera_of
-from telewide.calibration.extrinsics import epipolar_errors_px, joint_shots, of_shots
+from telewide.calibration.extrinsics import epipolar_errors_px, joint_shots
+from telewide.calibration.problem import Problem, State
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 FloatArray = NDArray[np.float64]
@@ -56,14 +57,14 @@ def validate(problem: Problem, state: State, *, free: BoolArray, rng: np.random.
     if len(joint) >= _MIN_TO_HOLD_OUT:
         for out in np.array_split(rng.permutation(joint), min(_FOLDS, len(joint))):
             is_out = np.isin(np.arange(n_shots), out)
-            solved = solve_bundle(of_shots(problem, ~is_out), state, free=free)
-            epipolar.append(epipolar_errors_px(of_shots(problem, is_out), solved))
+            solved = solve_bundle(problem.of_shots(~is_out), state, free=free)
+            epipolar.append(epipolar_errors_px(problem.of_shots(is_out), solved))
     halves = None
     if len(joint) >= _MIN_TO_HALVE:
         odd = _odd_shots(problem, n_shots=n_shots)
         halves = (
-            solve_bundle(of_shots(problem, odd), state, free=free),
-            solve_bundle(of_shots(problem, ~odd), state, free=free),
+            solve_bundle(problem.of_shots(odd), state, free=free),
+            solve_bundle(problem.of_shots(~odd), state, free=free),
         )
     return Validation(np.concatenate(epipolar), halves)
 

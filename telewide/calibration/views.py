@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.bundle import State
 from telewide.calibration.detect import BoardView
 from telewide.calibration.distortion import project
 from telewide.calibration.extrinsics import Agreement
+from telewide.calibration.problem import State
 from telewide.calibration.result import ViewResult
 from telewide.calibration.shots import DetectedShot
 from telewide.calibration.sightings import LENSES, Gathered, square_px, view_of

@@ -6,19 +6,15 @@ from calibration.known_rig import World
 from scipy.optimize import least_squares
 
 from telewide.calibration.bundle import (
-    N_LENS,
-    N_SHARED,
-    RIG,
     SOFT,
-    Problem,
-    State,
     normal_equations,
     residuals_px,
     shot_costs,
     solve_bundle,
     solve_poses,
 )
-from telewide.calibration.distortion import prior_of_lens
+from telewide.calibration.distortion import N_LENS, prior_of_lens
+from telewide.calibration.problem import N_SHARED, RIG, Problem, State
 from telewide.calibration.sightings import gather
 
 FREE = np.zeros(N_SHARED, dtype=bool)
