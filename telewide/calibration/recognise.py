@@ -60,7 +60,10 @@ def recognise_board(shots: Sequence[BoardShot]) -> RecognisedBoard:
     corners = dict.fromkeys(patterns, 0)
     n_seen = 0
     for path in _sample_paths(shots):
-        grey_u8 = _reduced_grey(path)
+        try:
+            grey_u8 = _reduced_grey(path)
+        except InputError:  # the detection says what is wrong with it
+            continue
         found = {pattern: _count_corners(grey_u8, boards[names[0]]) for pattern, names in patterns.items()}
         for pattern, count in found.items():
             corners[pattern] += count
