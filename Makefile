@@ -1,4 +1,4 @@
-# make setup | demo | test | lint | bench        (each sets up .venv first, once)
+# make setup | demo | demo-phone | test | lint | bench        (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo demo-phone test lint bench clean
 
 setup: $(STAMP)
 
@@ -18,6 +18,12 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: $(STAMP)
 	$(BIN)/telewide run examples/captures --recipe quick --out demo
+
+# From the photos of two unequal lenses, simulated with a board: calibrate, then the same in metres.
+demo-phone: $(STAMP)
+	$(BIN)/telewide simulate demo-phone --phone --captures 6 --width 720 --seed 1
+	cd demo-phone && ../$(BIN)/telewide calibrate --square-m 0.025
+	cd demo-phone && ../$(BIN)/telewide run captures --recipe quick
 
 test: $(STAMP)
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -36,4 +42,4 @@ bench: $(STAMP)
 	else echo "no phone pairs in $(DATA): set TELEWIDE_DATA" >&2; fi
 
 clean:
-	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf demo demo-phone dist .mypy_cache .pytest_cache .ruff_cache

@@ -15,7 +15,7 @@ import yaml
 from telewide.cli import main
 from telewide.simulate.captures import write_captures
 
-COMMANDS = ("train", "depth", "run", "simulate")
+COMMANDS = ("import", "board", "calibrate", "show", "train", "depth", "run", "simulate")
 
 
 def run_cli(*words: str) -> int:
