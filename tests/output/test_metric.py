@@ -8,11 +8,9 @@ import pytest
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.output.metric import (
     DepthPrecision,
-    KnownDistance,
     depth_std_m,
     disparity_std_px,
     lens_shift_std_px,
-    pinned_shift_px,
 )
 
 F_PX, BASELINE_M = 9000.0, 0.012
@@ -102,29 +100,3 @@ def test_without_shots_the_spread_is_the_usual_one() -> None:
     assert usual_px == pytest.approx(0.58)
     assert lens_shift_std_px([np.nan], width_px=2560) == pytest.approx(2 * usual_px)
     assert usual_px < lens_shift_std_px([3.0], width_px=1280) < 3.0 * 1.5
-
-
-def test_a_known_distance_pins_the_shift(rng: np.random.Generator) -> None:
-    truth_px = np.full((60, 80), F_PX * BASELINE_M / 1.5, np.float32)
-    seen_px = (truth_px - 2.5 + rng.normal(0, 0.2, truth_px.shape)).astype(np.float32)
-    seen_px[0:9, 0:9] = np.nan
-    seen_px[30, 40] = 500.0  # a bad match at the point itself
-    disparity, std_px = maps(seen_px), np.full((60, 80), 0.2, np.float32)
-    known = KnownDistance(point_px=(40.2, 29.9), distance_m=1.5)
-    found = pinned_shift_px(disparity, std_px, known, f_px=F_PX, baseline_m=BASELINE_M)
-    assert found is not None
-    assert found[0] == pytest.approx(2.5, abs=0.1)
-    assert found[1] == pytest.approx(0.2, rel=1e-3)
-    measured_badly = KnownDistance(point_px=(40, 30), distance_m=1.5, distance_std_m=0.03)
-    found = pinned_shift_px(disparity, std_px, measured_badly, f_px=F_PX, baseline_m=BASELINE_M)
-    assert found is not None
-    assert found[1] == pytest.approx(np.hypot(0.2, 72 * 0.02), rel=1e-3)
-
-
-@pytest.mark.parametrize("point_px", [(-3.0, 10.0), (90.0, 10.0), (0.0, 0.0)])
-def test_a_point_where_nothing_was_measured_pins_nothing(point_px: tuple[float, float]) -> None:
-    disparity_px = np.full((60, 80), 70, np.float32)
-    disparity_px[0:9, 0:9] = np.nan
-    known = KnownDistance(point_px=point_px, distance_m=1.5)
-    std_px = np.ones((60, 80), np.float32)
-    assert pinned_shift_px(maps(disparity_px), std_px, known, f_px=F_PX, baseline_m=BASELINE_M) is None
