@@ -20,6 +20,8 @@ FloatArray = NDArray[np.float64]
 
 MIN_CORNERS = 4
 """A view with fewer says nothing of where the board is."""
+MIN_PHOTO_PX = 64
+"""Shorter side of the smallest picture that can show a board; OpenCV fails on much smaller ones."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +52,13 @@ def detect_board(grey_u8: NDArray[np.uint8], *, board: Board) -> BoardView | Non
     Raises:
         InputError: the board names markers that OpenCV does not have.
     """
+    height, width = grey_u8.shape
+    if min(height, width) < MIN_PHOTO_PX:
+        return None
     if board.kind == "chessboard":
         found = find_chessboard(grey_u8, pyramid(grey_u8), board=board)
     else:
         found = find_marker_board(grey_u8, pyramid(grey_u8), board=board)
     if found is None or len(found.ids) < MIN_CORNERS:
         return None
-    height, width = grey_u8.shape
     return BoardView(found.ids, found.points_px, (height, width))

@@ -24,6 +24,7 @@ _SMALLEST_MARKER_PX = 10.0  # below this a marker's cells are under 2 px
 _LARGE_ENOUGH_PX = 24.0  # markers of this side are all found; a larger picture would add none
 _MISPLACED = 0.5  # of a marker's side: farther from where the others put it, it is another's; distortion is less
 _MIN_MARKERS = 2  # one alone may be chance: a texture that looks like a marker
+_MIN_SHARE_IN_PLACE = 0.6  # of the numbers found; on a board of another layout half of them may agree
 _WINDOW_SHARE = 0.5  # radius of a refinement window over the distance to the next edge
 _MARKER_SHARE = 0.7  # likewise over the distance to the marker's black
 _CELL_SHARE = 0.8  # half length of an edge profile over the width of a cell and of the gap
@@ -101,7 +102,7 @@ def _consistent(found: FoundMarkers, board: Board) -> FoundMarkers | None:
     is_in_place = misplaced_px < np.maximum(_MISPLACED * _sides_px(found.quads_px).mean(axis=1), 2.0)
     kept = [i for i in np.argsort(misplaced_px) if is_in_place[i]]
     markers, first = np.unique(found.markers[kept], return_index=True)
-    if len(markers) < max(_MIN_MARKERS, len(found.markers) / 3):
+    if len(markers) < max(_MIN_MARKERS, _MIN_SHARE_IN_PLACE * len(np.unique(found.markers))):
         return None
     return FoundMarkers(markers, found.quads_px[np.asarray(kept, dtype=np.int64)[first]])
 
