@@ -89,10 +89,10 @@ def write_phone(folder: Path, *, captures: int, boards: int = 14, seed: int = 0,
     rig = phone_rig(np.random.default_rng(rig_seed), hw=(width * 2 // 3, width))
     for number, child in enumerate(board_seed.spawn(boards)):
         rng = np.random.default_rng(child)
-        board_from_tele = _board_pose(rng, rig, number=number)
+        tele_from_board = _board_pose(rng, rig, number=number)
         place = folder / "boards" / f"{number:03d}"
         for name, camera, camera_from_tele in _lenses(rig):
-            photo = _photo_of_board(camera, camera_from_tele @ np.linalg.inv(board_from_tele))
+            photo = _photo_of_board(camera, camera_from_tele @ tele_from_board)
             write_image(place / f"{name}.jpg", _developed(photo, rng, is_wide=name == "wide"), quality=95)
     for number, child in enumerate(capture_seed.spawn(captures)):
         _write_still_life(folder / "captures" / f"{number:03d}", np.random.default_rng(child), rig)
@@ -113,7 +113,7 @@ def _lenses(rig: StereoRig) -> tuple[tuple[str, Camera, FloatArray], ...]:
 
 
 def _board_pose(rng: np.random.Generator, rig: StereoRig, *, number: int) -> FloatArray:
-    """(4, 4) board from tele: tilted by 15 to 40 degrees in changing directions, filling about half of tele."""
+    """(4, 4) tele from board: tilted by 15 to 40 degrees in changing directions, filling about half of tele."""
     size_m = np.array(BOARD_CORNERS) * BOARD_SQUARE_M
     fill = float(rng.uniform(0.42, 0.68))
     distance_m = rig.tele.f_px * size_m[0] / (fill * rig.tele.hw[1])
@@ -125,9 +125,11 @@ def _board_pose(rng: np.random.Generator, rig: StereoRig, *, number: int) -> Flo
     roll = rigid_transform(rotation=np.array([0.0, 0.0, float(rng.normal(0, 0.12))]), translation=np.zeros(3))
     reach_m = 0.5 * (1 - fill) * rig.tele.hw[1] * distance_m / rig.tele.f_px
     at_m = np.array([rng.uniform(-1, 1) * reach_m, rng.uniform(-1, 1) * reach_m * 0.6, distance_m])
-    centred = rigid_transform(rotation=np.zeros(3), translation=np.append(-size_m / 2 + BOARD_SQUARE_M / 2, 0.0))
-    tele_from_board = rigid_transform(rotation=np.zeros(3), translation=at_m) @ turn @ roll @ centred
-    return np.asarray(np.linalg.inv(tele_from_board))
+    centre_from_board = rigid_transform(
+        rotation=np.zeros(3), translation=np.append(-size_m / 2 + BOARD_SQUARE_M / 2, 0.0)
+    )
+    tele_from_centre = rigid_transform(rotation=np.zeros(3), translation=at_m) @ turn @ roll
+    return np.asarray(tele_from_centre @ centre_from_board)
 
 
 def _photo_of_board(camera: Camera, camera_from_board: FloatArray) -> FloatMap:
