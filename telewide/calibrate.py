@@ -200,16 +200,18 @@ def _write_report(
         "telewide": metadata.version("telewide"),
     }
     rectified = _rectified_shot(shots, calibration)
-    steps = _next_steps(boards, calibration, is_measured=chosen.is_measured)
+    steps = _next_steps(boards, calibration, options)
     return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
 
 
-def _next_steps(boards: Path, calibration: Calibration, *, is_measured: bool) -> tuple[NextStep, ...]:
-    again = f"telewide calibrate {boards}"
+def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOptions) -> tuple[NextStep, ...]:
+    stated = {"--board": options.board, "--square-m": options.square_m}
+    words = [f"{flag} {value}" for flag, value in stated.items() if value is not None]
+    again = " ".join(["telewide calibrate", str(boards), *words])
     steps = []
     if calibration.quality.verdict != "good":
         steps.append(NextStep("Add such photos to the folder and calibrate again:", again))
-    if not is_measured:
+    if options.square_m is None:
         steps.append(
             NextStep(
                 "Measure ten squares of your print with a ruler and give a tenth, in metres:", f"{again} --square-m M"
