@@ -33,10 +33,12 @@ _ALIGN_STEPS = 3
 _ALIGN_BELOW_CYCLES = 0.2
 _LARGEST_SHIFT_PX = 1.5
 _LEAST_CYCLES = 1.5
-_WORST_WINDOW = 3.0
+_WORST_WINDOW = 1.5
 _GROUPS = 6
 _ELONGATION_WORTH = 1.08
 _LEAST_ELONGATED_PX = 0.5
+_DOUBTFUL_RESIDUAL = 0.45
+"""A kernel that leaves more of src has met depth, not blur; it counts only where there is no better one."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ def damage_range(
     blur exceeds them by, in variance, is put down to the lens.
 
     Args:
-        estimates: of the pairs of one set.
+        estimates: of the pairs of one set; those that explain little count only where there is no better one.
         asymmetry: ``f_tele_px / f_wide_px``, where it is known.
         margin: share by which the range is widened at either end.
 
@@ -142,7 +144,8 @@ def damage_range(
     """
     if not estimates:
         return None
-    sigma_px = np.array([estimate.mean_sigma_px for estimate in estimates])
+    telling = [estimate for estimate in estimates if estimate.residual <= _DOUBTFUL_RESIDUAL] or list(estimates)
+    sigma_px = np.array([estimate.mean_sigma_px for estimate in telling])
     low_px, high_px = np.percentile(sigma_px, (5, 95))
     low_px, high_px = low_px * (1.0 - margin), high_px * (1.0 + margin)
     largest = factor_from_sigma(high_px)

@@ -133,6 +133,12 @@ def test_a_rehearsal_is_damaged_around_what_was_measured() -> None:
     assert drawn.blur_sigma_px == (0.0, 0.0)
 
 
+def test_a_kernel_that_explains_little_has_no_say() -> None:
+    good, bad = kernel(1.2), replace(kernel(4.0), residual=0.7)
+    assert damage_range([good, bad]) == damage_range([good])
+    assert damage_range([bad]) is not None
+
+
 def test_what_the_pixels_do_not_explain_is_the_lens() -> None:
     width_px = float(np.hypot(sigma_from_factor(3.0), 1.0))
     drawn = damage_range([kernel(width_px)], asymmetry=3.0, margin=0.0)
