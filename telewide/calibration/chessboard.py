@@ -102,21 +102,21 @@ def _grid(corners: FloatArray, board: Board) -> FloatArray:
 
 def _upright(grid_px: FloatArray, grey_u8: GreyImage) -> FloatArray:
     """Turn a grid so that nothing is mirrored, a black square comes first, and x points right as far as that allows."""
-    right, down = _along(grid_px, axis=1).mean(axis=(0, 1)), _along(grid_px, axis=0).mean(axis=(0, 1))
-    if right[0] * down[1] - right[1] * down[0] < 0:
+    across, down = _along(grid_px, axis=1).mean(axis=(0, 1)), _along(grid_px, axis=0).mean(axis=(0, 1))
+    if across[0] * down[1] - across[1] * down[0] < 0:
         grid_px = grid_px[::-1]
     turned = [np.rot90(grid_px, quarter) for quarter in range(4)]
     candidates = [grid for grid in turned if grid.shape == grid_px.shape]
-    black_first = [grid for grid in candidates if _begins_black(grid, grey_u8)]
-    return max(black_first or candidates, key=lambda grid: float(_cosine_to_right(grid)))
+    black_first = [grid for grid in candidates if _is_first_black(grid, grey_u8)]
+    return max(black_first or candidates, key=lambda grid: float(_cosine_to_x(grid)))
 
 
-def _cosine_to_right(grid_px: FloatArray) -> float:
-    right = _along(grid_px, axis=1).mean(axis=(0, 1))
-    return float(right[0] / np.linalg.norm(right))
+def _cosine_to_x(grid_px: FloatArray) -> float:
+    across = _along(grid_px, axis=1).mean(axis=(0, 1))
+    return float(across[0] / np.linalg.norm(across))
 
 
-def _begins_black(grid_px: FloatArray, grey_u8: GreyImage) -> bool:
+def _is_first_black(grid_px: FloatArray, grey_u8: GreyImage) -> bool:
     """Whether the square right and below of corner (0, 0) is black, judged by all squares between the corners."""
     middles = (grid_px[:-1, :-1] + grid_px[1:, :-1] + grid_px[:-1, 1:] + grid_px[1:, 1:]) / 4
     x, y = np.clip(np.rint(middles), 0, np.array(grey_u8.shape)[::-1] - 1).astype(np.int64).transpose(2, 0, 1)
@@ -132,9 +132,9 @@ def _along(grid: FloatArray, *, axis: int) -> FloatArray:
 
 
 def _refined(grey_u8: GreyImage, grid_px: FloatArray) -> FoundCorners | None:
-    right, down = _along(grid_px, axis=1).reshape(-1, 2), _along(grid_px, axis=0).reshape(-1, 2)
-    half_px = _WINDOW_SHARE * distance_to_next_edge_px(right, down)
-    edges_rad = np.column_stack([np.arctan2(step[:, 1], step[:, 0]) for step in (right, down)])
+    across, down = _along(grid_px, axis=1).reshape(-1, 2), _along(grid_px, axis=0).reshape(-1, 2)
+    half_px = _WINDOW_SHARE * distance_to_next_edge_px(across, down)
+    edges_rad = np.column_stack([np.arctan2(step[:, 1], step[:, 0]) for step in (across, down)])
     refined = refine_saddles(grey_u8, grid_px.reshape(-1, 2), edges_rad=edges_rad, half_px=half_px)
     if refined.is_good.mean() < _MIN_SHARE_FOUND:
         return None
@@ -142,17 +142,17 @@ def _refined(grey_u8: GreyImage, grid_px: FloatArray) -> FoundCorners | None:
     return FoundCorners(ids, refined.points_px[ids])
 
 
-def distance_to_next_edge_px(right: FloatArray, down: FloatArray) -> FloatArray:
+def distance_to_next_edge_px(across: FloatArray, down: FloatArray) -> FloatArray:
     """Distance from a corner to the nearest edge of its squares that does not pass through it.
 
     Args:
-        right: (N, 2) step to the next corner along x, px.
+        across: (N, 2) step to the next corner along x, px.
         down: (N, 2) step to the next corner along y, px.
 
     Returns:
         (N,) px; ``|a x b| / max(|a|, |b|)``, 0 where the steps are parallel.
     """
-    area = np.abs(right[:, 0] * down[:, 1] - right[:, 1] * down[:, 0])
-    lengths = np.maximum(np.linalg.norm(right, axis=1), np.linalg.norm(down, axis=1))
-    is_crossing = area > _COLLINEAR * np.linalg.norm(right, axis=1) * np.linalg.norm(down, axis=1)
+    area = np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
+    lengths = np.maximum(np.linalg.norm(across, axis=1), np.linalg.norm(down, axis=1))
+    is_crossing = area > _COLLINEAR * np.linalg.norm(across, axis=1) * np.linalg.norm(down, axis=1)
     return np.asarray(np.where(is_crossing, area / np.maximum(lengths, 1e-9), 0.0), dtype=np.float64)

@@ -25,7 +25,7 @@ from PIL import Image, ImageCms
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
 from telewide.capture.heif import open_photo
-from telewide.capture.raw import develop, encoded
+from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.rundir import replacing
 from telewide.errors import InputError, TelewideError, UsageError
 
@@ -60,7 +60,7 @@ def read_image(path: Path) -> FloatImage:
     data = read_bytes(path)
     kind = photo_format(path, data)
     if kind == "RAW":
-        return encoded(develop(path, data))
+        return show_as_srgb(develop(path, data))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on photos above 89 megapixels

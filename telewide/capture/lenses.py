@@ -167,8 +167,8 @@ def _is_one_lens(first: PhotoFacts, second: PhotoFacts) -> bool:
     return _is_same_focal(first.focal_length_mm, second.focal_length_mm)
 
 
-def _is_same_focal(first_mm: float, second_mm: float) -> bool:
-    return abs(first_mm - second_mm) <= _SAME_FOCAL * max(first_mm, second_mm)
+def _is_same_focal(first_focal_mm: float, second_focal_mm: float) -> bool:
+    return abs(first_focal_mm - second_focal_mm) <= _SAME_FOCAL * max(first_focal_mm, second_focal_mm)
 
 
 def _focal_groups(photos: Sequence[PhotoFacts]) -> list[list[PhotoFacts]]:

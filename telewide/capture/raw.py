@@ -93,16 +93,16 @@ def read_raw(path: Path, *, is_half_size: bool = False) -> RawPhoto:
     return develop(path, read_bytes(path), is_half_size=is_half_size)
 
 
-def encoded(photo: RawPhoto) -> FloatImage:
+def show_as_srgb(raw: RawPhoto) -> FloatImage:
     """Show a RAW photo as sRGB: ``srgb(min(1, linear 2^BaselineExposure))``.
 
     Args:
-        photo: developed.
+        raw: developed.
 
     Returns:
         (H, W, 3) sRGB float32 in [0, 1].
     """
-    exposed = photo.linear * np.float32(2.0**photo.baseline_exposure_ev)
+    exposed = raw.linear * np.float32(2.0**raw.baseline_exposure_ev)
     return srgb_from_linear(np.minimum(exposed, 1.0).astype(np.float32))
 
 

@@ -35,7 +35,7 @@ def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
     u, _, vt = np.linalg.svd(other_rays.T @ rays)
     second_from_first = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     difference_px = second.project(rays @ second_from_first.T) - grid_px
-    return np.linalg.norm(difference_px, axis=1).reshape(_grid_shape(first.hw))
+    return np.asarray(np.linalg.norm(difference_px, axis=1).reshape(_grid_shape(first.hw)))
 
 
 def transfer_difference_px(first: StereoRig, second: StereoRig, *, distance_m: float) -> FloatArray:
@@ -50,7 +50,7 @@ def transfer_difference_px(first: StereoRig, second: StereoRig, *, distance_m: f
         (R, C) tele px: distances in the wide photo times ``f_tele / f_wide``.
     """
     grid_hw = _grid_shape(first.tele.hw)
-    return np.linalg.norm(difference_px(first, second, distance_m=distance_m, grid_hw=grid_hw), axis=-1)
+    return np.asarray(np.linalg.norm(difference_px(first, second, distance_m=distance_m, grid_hw=grid_hw), axis=-1))
 
 
 def tele_outline_px(rig: StereoRig) -> FloatArray:

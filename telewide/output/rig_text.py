@@ -67,9 +67,9 @@ def _cameras(stored: StoredRig) -> list[tuple[str, str]]:
         ("wide", stored.rig.wide, stored.wide_std),
     )
     for name, camera, std in both:
-        focal = _plus_minus(camera.f_px, std and std.f_px, "px", decimals=1)
-        cx = _plus_minus(float(camera.K[0, 2]), std and std.cx_px, "px", decimals=1)
-        cy = _plus_minus(float(camera.K[1, 2]), std and std.cy_px, "px", decimals=1)
+        focal = _plus_minus(camera.f_px, None if std is None else std.f_px, "px", decimals=1)
+        cx = _plus_minus(float(camera.K[0, 2]), None if std is None else std.cx_px, "px", decimals=1)
+        cy = _plus_minus(float(camera.K[1, 2]), None if std is None else std.cy_px, "px", decimals=1)
         # A coefficient that is exactly 0 is not part of the lens model.
         terms = [f"{k} {value:+.4f}" for k, value in zip(_COEFFICIENTS, camera.distortion, strict=False) if value]
         rows += [

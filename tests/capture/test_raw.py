@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from telewide.capture.images import read_image
 from telewide.capture.pair import find_captures, read_pair
-from telewide.capture.raw import encoded, read_raw
+from telewide.capture.raw import read_raw, show_as_srgb
 from telewide.errors import InputError, UsageError
 from telewide.srgb import srgb_from_linear
 
@@ -181,7 +181,7 @@ def test_a_shown_photo_is_the_linear_one_through_the_srgb_curve(tmp_path: Path) 
 
 def test_a_dng_of_another_suffix_is_one(tmp_path: Path) -> None:
     path = write_dng(tmp_path / "a.tif", mosaic_of(smooth_scene()))
-    np.testing.assert_array_equal(read_image(path), encoded(read_raw(path)))
+    np.testing.assert_array_equal(read_image(path), show_as_srgb(read_raw(path)))
 
 
 def test_a_capture_of_dngs_is_a_pair(tmp_path: Path) -> None:

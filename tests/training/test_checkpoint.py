@@ -26,7 +26,9 @@ from telewide.training.checkpoint import (
     save_weights,
 )
 
-CARD = WeightsCard("lite", WINDOW, {"network": "lite", "seed": 3}, {"stage": "rehearsal", "step": 7, "clipped_px": [0.2]})
+CARD = WeightsCard(
+    "lite", WINDOW, {"network": "lite", "seed": 3}, {"stage": "rehearsal", "step": 7, "clipped_px": [0.2]}
+)
 
 
 def a_state() -> TrainingState:
