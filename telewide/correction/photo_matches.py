@@ -28,6 +28,8 @@ from telewide.correction.matches import (
     _one_bandwidth,
 )
 from telewide.correction.overlap import find_overlap
+from telewide.correction.resample import resample
+from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import rectifying_rotation, rig_at_sizes
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
@@ -131,16 +133,13 @@ def _virtual_views(
 def _resampled(
     photo: FloatImage, camera: Camera, *, K: FloatArray, turn: FloatArray, wh: tuple[int, int]
 ) -> FloatImage:
-    """A photo as the virtual camera sees it; shrunk by area first, where that is coarser."""
-    shrink = K[0, 0] / camera.f_px
-    if shrink < 1:
-        size_wh = (round(photo.shape[1] * shrink), round(photo.shape[0] * shrink))
-        photo = np.asarray(cv2.resize(photo, size_wh, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        camera = camera.resized(_hw(photo))
-    x_px, y_px = np.meshgrid(np.arange(wh[0], dtype=np.float64), np.arange(wh[1], dtype=np.float64))
-    at_px = _photo_points(np.column_stack([x_px.ravel(), y_px.ravel()]), camera, K=K, virtual_from_camera=turn)
-    at = at_px.astype(np.float32).reshape(wh[1], wh[0], 2)
-    return np.asarray(cv2.remap(photo, at, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32)  # type: ignore[call-overload]
+    """A photo as the virtual camera sees it."""
+
+    def photo_px(points_px: FloatArray) -> FloatArray:
+        return _photo_points(points_px, camera, K=K, virtual_from_camera=turn)
+
+    map_x, map_y = dense_map(photo_px, hw=(wh[1], wh[0]))
+    return resample(photo, map_x, map_y, shrink=camera.f_px / float(K[0, 0]))
 
 
 def _photo_points(

@@ -14,7 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.epipolar import epipolar_misfit_px, matching_unit_px, moved_rig, rectified_points
+from telewide.correction.epipolar import (
+    epipolar_misfit_px,
+    matching_unit_px,
+    moved_rig,
+    rectified_points,
+    turned_points,
+)
 from telewide.correction.matches import Matches
 from telewide.correction.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian
 from telewide.geometry.rectification import MAX_TILT_DEG
@@ -27,10 +33,11 @@ DIRECTION_PRIOR_RAD = 1.0
 BREATHING_PRIOR = 0.005
 _UNCERTAIN_DEG = 15.0
 _MAX_MATCHES = 1500
+_MAD_TO_STD = 1.4826
 _PRIOR_STD = np.array([*[ROTATION_PRIOR_RAD] * 3, BREATHING_PRIOR, DIRECTION_PRIOR_RAD, DIRECTION_PRIOR_RAD])
 _AWAY_DEG = (40.0, 80.0)
 _TURNS_DEG = (0.0, 90.0, 180.0, 270.0)
-_KEPT_STARTS = 3
+_KEPT_STARTS = 2
 
 
 @dataclass(frozen=True)
@@ -96,15 +103,16 @@ def fit_pose(matches: Matches, *, rig: StereoRig, seed: int = 0) -> PoseFit:
 def _described(fit: RobustFit, *, rig: StereoRig, matches: Matches) -> PoseFit:
     posed = _posed(rig, fit.x)
     centre = _wide_centre(rig, fit.x)
+    covariance = _covariance(fit, posed, matches)
     yaw_axis = posed.wide_from_tele[:3, :3] @ np.cross([0.0, 0.0, 1.0], centre)
-    yaw_std_px = float(np.sqrt(yaw_axis @ fit.covariance[:3, :3] @ yaw_axis)) * rig.tele.f_px
+    yaw_std_px = float(np.sqrt(yaw_axis @ covariance[:3, :3] @ yaw_axis)) * rig.tele.f_px
     tele, wide = rectified_points(matches.ref_px, matches.src_px, rig=posed) if _is_across(centre) else (None, None)
     if tele is not None and wide is not None:
         disparity_px = rig.tele.f_px * float(np.median(tele[:, 0] - wide[:, 0]))
         # seen from the other side, everything would lie behind the cameras
         if disparity_px < -3 * yaw_std_px:
             centre = -centre
-    direction_std_rad = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[4:, 4:])[-1]))
+    direction_std_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[4:, 4:])[-1]))
     notes = []
     if not _is_across(centre):
         notes.append("wide stood nearly in front of tele or behind it: such a pair cannot be rectified")
@@ -116,13 +124,32 @@ def _described(fit: RobustFit, *, rig: StereoRig, matches: Matches) -> PoseFit:
         rotation_vector=fit.x[:3],
         translation_direction=-posed.wide_from_tele[:3, :3] @ centre,
         scale=float(np.exp(fit.x[3])),
-        rotation_std_rad=fit.std[:3],
+        rotation_std_rad=np.sqrt(np.diag(covariance)[:3]),
         direction_std_rad=direction_std_rad,
-        scale_std=float(fit.std[3]),
+        scale_std=float(np.sqrt(covariance[3, 3])),
         zero_std_px=yaw_std_px,
         is_usable=_is_across(centre),
         notes=tuple(notes),
     )
+
+
+def _covariance(fit: RobustFit, posed: StereoRig, matches: Matches) -> FloatArray:
+    """The fit's covariance, less what noise pretends to know.
+
+    A match says of the baseline's direction as much as it lies apart from where it would at infinity. Noise along the
+    baseline makes it lie apart too, of points however far: that share of the parallax is no information.
+    """
+    tele, wide = posed.tele.normalised(matches.ref_px), posed.wide.normalised(matches.src_px)
+    at_infinity = turned_points(tele, rotation=posed.wide_from_tele[:3, :3])
+    apart_px = posed.tele.f_px * (wide - at_infinity)
+    spread_px = _MAD_TO_STD * np.median(np.abs(apart_px - np.median(apart_px, axis=0)), axis=0)
+    noise_px = _MAD_TO_STD * float(np.median(np.abs(fit.residuals)))
+    # the spread of n matches is itself known to 2 / sqrt(n) of it, at 95 %
+    noise_share = (1 + 4 / np.sqrt(len(matches))) * noise_px**2 / max(float((spread_px**2).sum()) - noise_px**2, 1e-12)
+    true_share = max(0.0, 1 - noise_share)
+    shrink = np.array([1, 1, 1, 1, *[np.sqrt(true_share)] * 2])
+    information = np.linalg.inv(fit.covariance) - np.diag(1 / _PRIOR_STD**2)
+    return np.asarray(np.linalg.inv(shrink[:, None] * information * shrink + np.diag(1 / _PRIOR_STD**2)))
 
 
 def _posed(rig: StereoRig, x: FloatArray) -> StereoRig:

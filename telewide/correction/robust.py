@@ -124,7 +124,7 @@ def _minimised(problem: _Problem, start: FloatArray, *, loss_px: float) -> Float
         rho[:, -n_priors:] = np.stack([squared[-n_priors:], np.ones(n_priors), np.zeros(n_priors)])
         return rho
 
-    solved = least_squares(rows, start, jac=slopes, loss=loss, x_scale=problem.std, max_nfev=40, ftol=1e-7, xtol=1e-7)
+    solved = least_squares(rows, start, jac=slopes, loss=loss, x_scale=problem.std, max_nfev=30, ftol=1e-7, xtol=1e-7)
     return np.asarray(solved.x, dtype=np.float64)
 
 

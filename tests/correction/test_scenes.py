@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rig_worlds import angle_deg, measured, phone_rig, seen_points, wide_centre
+
+from telewide.correction.epipolar import moved_rig, vertical_misfit_px
+from telewide.correction.matches import Matches
+from telewide.correction.scenes import FocalPrior, first_rig, rig_from_scenes
+from telewide.correction.shot import fit_shot, refined_rig
+from telewide.errors import InputError
+from telewide.geometry.rig import StereoRig
+
+
+def captures(rig: StereoRig, rng: np.random.Generator, *, n: int) -> tuple[list[Matches], list[Matches]]:
+    """Exact and measured matches of n shots, each with its own lens movement and its own range of depth."""
+    exact = []
+    for _ in range(n):
+        roll = np.array([0, 0, rng.normal(0, 0.001)])
+        moved = moved_rig(rig, offset_px=rng.normal(0, 2), scale=1 + rng.normal(0, 0.002), rotation_vector=roll)
+        nearest_m = rng.uniform(0.5, 1.0)
+        exact.append(seen_points(moved, rng, n=250, nearest_m=nearest_m, farthest_m=nearest_m * rng.uniform(2, 5)))
+    return exact, [measured(e, rng) for e in exact]
+
+
+@pytest.mark.parametrize(("is_vertical", "side"), [(False, "right"), (True, "below")])
+def test_a_rig_is_found_from_eight_captures(is_vertical: bool, side: str) -> None:
+    rng = np.random.default_rng(5)
+    rig = phone_rig(is_vertical=is_vertical, has_distortion=False)
+    exact, matches = captures(rig, rng, n=9)
+    focal = FocalPrior(tele_f_px=1.03 * rig.tele.f_px, wide_f_px=1.06 * rig.wide.f_px)
+    found = rig_from_scenes(
+        matches[:8],
+        tele_hw=rig.tele.hw,
+        wide_hw=rig.wide.hw,
+        focal=focal,
+        baseline_m=0.012,
+        wide_side=side,  # type: ignore[arg-type]
+    )
+    assert found.n_scenes == 8
+    assert found.rig.baseline_m == pytest.approx(0.012)
+    assert found.rig.is_scale_known
+    assert abs(found.rig.asymmetry / rig.asymmetry - 1) < 3 * found.std.ratio_share < 0.02
+    assert angle_deg(wide_centre(found.rig), wide_centre(rig)) < 3 * np.degrees(found.std.direction_rad).max()
+    assert (np.abs(found.rig.wide.K[:2, 2] - rig.wide.K[:2, 2]) < 3 * found.std.wide_centre_px).all()
+    assert found.std.zero_px > 5
+    assert any("zero of disparity" in note for note in found.notes)
+    # the ninth capture was not seen: its own correction is fitted, its exact points judge the rig
+    shot = fit_shot(matches[8], rig=found.rig)
+    left_px = np.abs(vertical_misfit_px(exact[8].ref_px, exact[8].src_px, rig=refined_rig(found.rig, shot)))
+    assert shot.residual_after_px < 0.5
+    assert np.percentile(left_px, 50) < 0.15
+    assert np.percentile(left_px, 99) < 0.5
+
+
+def test_without_a_baseline_depth_is_relative(rng: np.random.Generator) -> None:
+    rig = phone_rig(has_distortion=False)
+    _, matches = captures(rig, rng, n=3)
+    focal = FocalPrior(rig.tele.f_px, rig.wide.f_px)
+    found = rig_from_scenes(matches, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=focal, wide_side="left")
+    assert not found.rig.is_scale_known
+    assert wide_centre(found.rig)[0] < -0.9
+    assert any("relative" in note for note in found.notes)
+
+
+def test_too_few_captures_are_refused(rng: np.random.Generator) -> None:
+    rig = phone_rig(has_distortion=False)
+    _, matches = captures(rig, rng, n=3)
+    scenes = [*matches[:2], matches[2].select(np.arange(20))]
+    with pytest.raises(InputError, match="found 2"):
+        rig_from_scenes(
+            scenes, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=FocalPrior(rig.tele.f_px, rig.wide.f_px)
+        )
+
+
+def test_the_first_guess_is_straight_ahead() -> None:
+    rig = first_rig(tele_hw=(30, 40), wide_hw=(60, 80), focal=FocalPrior(100.0, 50.0))
+    np.testing.assert_allclose(rig.wide_from_tele[:3, :3], np.eye(3))
+    np.testing.assert_allclose(rig.wide.K, [[50, 0, 39.5], [0, 50, 29.5], [0, 0, 1]])
+    assert rig.asymmetry == pytest.approx(2.0)
