@@ -16,6 +16,7 @@ import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
+from telewide.correction.blur import BlurEstimate, damage_range, fit_blur
 from telewide.correction.held_out import HeldOut
 from telewide.correction.inspect import CorrectedPair, PairReport, correct_pair, disparity_window, inspect_pair
 from telewide.correction.matches import find_matches
@@ -36,7 +38,7 @@ from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.recipe import Recipe
 from telewide.training.samples import LABELS_NAME
 
-FORMAT = 2
+FORMAT = 3
 SHOT_NAME = "shot.json"
 LABEL_CONFIDENCE = 0.5
 
@@ -52,6 +54,7 @@ class PreparedPair:
         scale: working size over the photo's size.
         held_out: its matches that no fit has seen.
         alignment: how the corrected pair lies to the photos; None where they were rectified when they came.
+        blur: how much softer wide is; None where matches are too few to tell.
     """
 
     source: Capture
@@ -60,6 +63,7 @@ class PreparedPair:
     scale: float
     held_out: HeldOut
     alignment: Alignment | None = None
+    blur: BlurEstimate | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,12 @@ class PreparedSet:
             InputError: nothing states them, and there are too few matches to measure them.
         """
         return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
+
+    @property
+    def damage_factor(self) -> tuple[float, float] | None:
+        """By how much wide is coarser, least and most over the pairs, as measured; None where nothing tells."""
+        damage = damage_range([pair.blur for pair in self.pairs if pair.blur is not None])
+        return None if damage is None else damage.factor
 
 
 Tick = Callable[[PairReport | None], None]
@@ -156,10 +166,17 @@ def _prepare_pair(
         has_colour=recipe.correction.colour,
     )
     _write_pair(folder, corrected)
+    blur = fit_blur(corrected.pair.tele, corrected.pair.wide, corrected.matches_fit)
     content = {
         "key": key,
         "scale": scale,
         "report": dataclasses.asdict(report),
+        "colour": {
+            "parts": corrected.colour.parts,
+            "delta_e_before": corrected.colour.delta_before,
+            "delta_e_after": corrected.colour.delta_after,
+        },
+        "blur": None if blur is None else dataclasses.asdict(blur),
     }
     if alignment is not None:
         write_text(folder / SHOT_NAME, alignment_as_json(alignment))
@@ -230,6 +247,7 @@ def _read_kept(
         report = PairReport(**{**content["report"], "reasons": tuple(content["report"]["reasons"])})
         with np.load(folder / "matches.npz", allow_pickle=False) as matches:
             ref_px, src_px = matches["held_out_ref_px"], matches["held_out_src_px"]
+        blur = None if content["blur"] is None else _blur_from_plain(content["blur"])
         alignment = None
         if rig is not None:
             text = (folder / SHOT_NAME).read_text(encoding="utf-8")
@@ -240,7 +258,11 @@ def _read_kept(
     if not (corrected.tele_path.is_file() and corrected.wide_path.is_file()):
         return None
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
-    return PreparedPair(capture, corrected, report, float(content["scale"]), held_out, alignment)
+    return PreparedPair(capture, corrected, report, float(content["scale"]), held_out, alignment, blur)
+
+
+def _blur_from_plain(plain: dict[str, Any]) -> BlurEstimate:
+    return BlurEstimate(**{**plain, "sigma_px": tuple(plain["sigma_px"]), "sigma_std_px": tuple(plain["sigma_std_px"])})
 
 
 def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:

@@ -40,6 +40,8 @@ LOG_EVERY_STEPS = 10
 FEWEST_TO_HOLD_OUT = 5
 """With fewer captures a strip of each is held out instead of whole ones."""
 MOST_HELD_OUT = 8
+USUAL_ASYMMETRY = (1.0, 6.0)
+"""Where neither the recipe nor the pairs say how much coarser wide is."""
 SHEET_ROWS = 6
 
 
@@ -230,7 +232,7 @@ def _training(
         captures=seen,
         crop_hw=recipe.train.crop_hw,
         window_px=record.window,
-        asymmetry=recipe.train.asymmetry,
+        asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
         area=area,
         labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
     )

@@ -71,5 +71,5 @@ class TrainOptions(Options):
     """A stage has converged when so many judgements in a row brought nothing better."""
     held_out_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.2
     """Share of the captures (of each picture's width, when there are few) kept for judging."""
-    asymmetry: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] = (1.0, 6.0)
-    """Range of the factor by which rehearsed source views lose resolution."""
+    asymmetry: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] | None = None
+    """Range of the factor by which rehearsed views lose resolution; null takes what was measured on the pairs."""
