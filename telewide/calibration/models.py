@@ -100,9 +100,11 @@ def _better(
 ) -> tuple[BoolArray, FloatArray]:
     """The candidate and its errors if it beats the best by some standard errors, or else the best."""
     candidate_errors = _held_out_errors(problem, state, free=candidate, folds=folds)
-    gains = (errors - candidate_errors)[np.isfinite(errors)]
-    is_sure = len(gains) > 1 and bool(np.isfinite(gains).all())
-    if is_sure and gains.mean() > by * gains.std(ddof=1) / np.sqrt(len(gains)):
+    seen = folds >= 0
+    if not np.isfinite(candidate_errors[seen]).all():
+        return best, errors
+    gains = errors[seen] - candidate_errors[seen]
+    if not np.isfinite(gains).all() or gains.mean() > by * gains.std() / np.sqrt(max(len(gains) - 1, 1)):
         return candidate, candidate_errors
     return best, errors
 
