@@ -45,7 +45,7 @@ app = typer.Typer(
 )
 
 app.command("import", epilog=IMPORT_EPILOG)(import_photos)
-app.command(epilog="Example: `telewide board chessboard_a4 --square-m 0.024 --out board.pdf`")(board)
+app.command(epilog="Example: `telewide board chessboard_9x6 --square-m 0.024 --out board.pdf`")(board)
 app.command(epilog=CALIBRATE_EPILOG)(calibrate)
 app.command(epilog=SHOW_EPILOG)(show)
 app.add_typer(benchmark_app, name="benchmark")

@@ -197,8 +197,8 @@ def _choose_lenses(by_lens: dict[Lens, _Series], choice: LensChoice) -> tuple[Le
     return max(candidates, key=lambda pair: (counts[pair], *(ordered.index(lens) for lens in pair[::-1])), default=None)
 
 
-def _is_asked_for(lens: Lens, asked_mm: float | None) -> bool:
-    return asked_mm is None or abs(lens.focal_length_mm - asked_mm) <= _SAME_CHOICE * asked_mm
+def _is_asked_for(lens: Lens, asked_focal_mm: float | None) -> bool:
+    return asked_focal_mm is None or abs(lens.focal_length_mm - asked_focal_mm) <= _SAME_CHOICE * asked_focal_mm
 
 
 def _why_no_lenses(lenses: Sequence[Lens], choice: LensChoice) -> str:

@@ -307,9 +307,9 @@ def _patch_size(hw: tuple[int, int]) -> tuple[float, int]:
     return sigma_px, round(2 * sigma_px)
 
 
-def _patch_colours(ref: FloatImage, src: FloatImage, patches: Patches, *, sigma_px: float) -> ColourSamples:
+def _patch_colours(ref_srgb: FloatImage, src_srgb: FloatImage, patches: Patches, *, sigma_px: float) -> ColourSamples:
     """Gaussian means of linear light; patches that are largely clipped are left out."""
-    ref_cut, src_cut = cut_patches(ref, src, patches)
+    ref_cut, src_cut = cut_patches(ref_srgb, src_srgb, patches)
     reach = np.arange(-patches.radius_px, patches.radius_px + 1) / sigma_px
     bell = np.exp(-0.5 * (reach[:, None] ** 2 + reach[None, :] ** 2))
     weight = bell * (np.maximum(ref_cut.max(axis=3), src_cut.max(axis=3)) < CLIPPED_FROM)
@@ -320,5 +320,5 @@ def _patch_colours(ref: FloatImage, src: FloatImage, patches: Patches, *, sigma_
         (weight @ linear_from_srgb(cut[is_used]).reshape(-1, bell.size, 3))[:, 0].astype(np.float64)
         for cut in (ref_cut, src_cut)
     ]
-    place = places_of(patches.select(is_used).src_centre_px, hw=(ref.shape[0], ref.shape[1]))
+    place = places_of(patches.select(is_used).src_centre_px, hw=(ref_srgb.shape[0], ref_srgb.shape[1]))
     return ColourSamples(means[0], means[1], place)

@@ -90,7 +90,7 @@ def pin_distance(
     known: KnownDistance,
     *,
     geometry: RectifiedGeometry,
-    distance_std_share: float = DISTANCE_STD_SHARE,
+    std_share: float = DISTANCE_STD_SHARE,
 ) -> DistancePin:
     """Find the zero of disparity that gives a point its distance.
 
@@ -100,7 +100,7 @@ def pin_distance(
         disparity_px: (H, W) of the rectified ref, NaN where unknown.
         known: the point.
         geometry: of the pair; of a rig whose scale is known.
-        distance_std_share: standard deviation of the distance over the distance.
+        std_share: standard deviation of the distance over the distance.
 
     Returns:
         The pin; depth is right with ``dataclasses.replace(geometry, doffs_px=pin.doffs_px)``.
@@ -114,7 +114,7 @@ def pin_distance(
         )
     d_px, spread_px, length = _disparity_at(disparity_px, known, geometry)
     wanted_px = geometry.f_px * geometry.rig.baseline_m * length / known.distance_m
-    std_px = float(np.hypot(spread_px, wanted_px * distance_std_share))
+    std_px = float(np.hypot(spread_px, wanted_px * std_share))
     doffs_px = wanted_px - d_px
     return DistancePin(doffs_px, doffs_px - geometry.doffs_px, std_px)
 

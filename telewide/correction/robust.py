@@ -107,7 +107,7 @@ def fit_robustly(
     x = _minimised(problem, rough, loss_px=loss_px)
     left = residuals(x)
     cost = first_loss_px**2 * np.log1p((left / first_loss_px) ** 2).sum() + (problem.prior_px(x) ** 2).sum()
-    return RobustFit(x, _covariance(problem, x, left=left, loss_px=loss_px), left, float(cost))
+    return RobustFit(x, _covariance(problem, x, residuals=left, loss_px=loss_px), left, float(cost))
 
 
 def _minimised(problem: _Problem, start: FloatArray, *, loss_px: float) -> FloatArray:
@@ -128,9 +128,9 @@ def _minimised(problem: _Problem, start: FloatArray, *, loss_px: float) -> Float
     return np.asarray(solved.x, dtype=np.float64)
 
 
-def _covariance(problem: _Problem, x: FloatArray, *, left: FloatArray, loss_px: float) -> FloatArray:
-    ratio = (left / loss_px) ** 2
-    influence = float(np.mean(left**2 / (1 + ratio) ** 2))
+def _covariance(problem: _Problem, x: FloatArray, *, residuals: FloatArray, loss_px: float) -> FloatArray:
+    ratio = (residuals / loss_px) ** 2
+    influence = float(np.mean(residuals**2 / (1 + ratio) ** 2))
     sharpness = max(float(np.mean((1 - ratio) / (1 + ratio) ** 2)), 1e-3)
     J = problem.jacobian(x)
     information = J.T @ J * sharpness**2 / max(influence, 1e-12) + np.diag(1 / problem.std**2)

@@ -18,9 +18,7 @@ def project(K: NDArray[np.float64], points_m: NDArray[np.float64]) -> NDArray[np
 
 
 @pytest.mark.parametrize("scale_xy", [(1.0, 1.0), (0.5, 0.25), (3.0, 1.7)])
-def test_project_then_scale_equals_scale_then_project(
-    scale_xy: tuple[float, float], rng: np.random.Generator
-) -> None:
+def test_project_then_scale_equals_scale_then_project(scale_xy: tuple[float, float], rng: np.random.Generator) -> None:
     points_m = rng.uniform([-1, -1, 2], [1, 1, 9], (50, 3))
     scaled = scaled_points(project(K, points_m), scale_xy=scale_xy)
     np.testing.assert_allclose(project(scaled_intrinsics(K, scale_xy=scale_xy), points_m), scaled, atol=1e-9)
