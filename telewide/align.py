@@ -18,14 +18,29 @@ import numpy as np
 from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
 from telewide.capture.exif import read_photo_facts, seconds_between
 from telewide.capture.pair import Capture, CaptureSet, PhotoPair
+from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, factor_from_exif
 from telewide.correction.moving import MovedRegion, find_moving
 from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.rectify import Rectification, rectify_pair
+from telewide.correction.scale import estimate_scale
 from telewide.correction.shot import ShotRefinement, fit_shot, refined_rig
 from telewide.errors import UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
 from telewide.output.metric import DepthPrecision, lens_shift_std_px
+
+
+@dataclass(frozen=True)
+class ShotFacts:
+    """What the two photos of a shot state about themselves.
+
+    Attributes:
+        seconds_between: between the exposures; None where EXIF does not tell.
+        asymmetry: the asymmetric factor by EXIF; None likewise.
+    """
+
+    seconds_between: float | None = None
+    asymmetry: float | None = None
 
 
 @dataclass(frozen=True)
@@ -35,11 +50,13 @@ class Alignment:
     Attributes:
         refinement: what moved in this shot.
         moved: parts of the tele photo that moved between the two exposures.
+        asymmetry: the asymmetric factor from all that knows it.
         geometry: of the rectified views; its rig is this shot's, for photos of its sizes.
     """
 
     refinement: ShotRefinement
     moved: tuple[MovedRegion, ...]
+    asymmetry: AsymmetryEstimate
     geometry: RectifiedGeometry
 
     @property
@@ -47,11 +64,11 @@ class Alignment:
         """One sentence for everything a person should know."""
         parts = "a part" if len(self.moved) == 1 else f"{len(self.moved)} parts"
         moved = f"{parts} of the scene moved between the two photos; no depth there is trusted"
-        return (*self.refinement.notes, moved) if self.moved else self.refinement.notes
+        return (*self.refinement.notes, *self.asymmetry.statements, *([moved] if self.moved else ()))
 
 
 def align_photos(
-    photos: PhotoPair, *, rig: StereoRig, working_width_px: int | None, seconds: float | None, seed: int
+    photos: PhotoPair, *, rig: StereoRig, working_width_px: int | None, facts: ShotFacts, seed: int
 ) -> tuple[Rectification, Alignment]:
     """Correct a rig for one shot, and rectify the shot's photos with it.
 
@@ -59,7 +76,7 @@ def align_photos(
         photos: tele and wide as captured.
         rig: as calibrated.
         working_width_px: width of the rectified views at most; None for tele's resolution.
-        seconds: between the two exposures; None where EXIF does not tell.
+        facts: what the photos state about themselves.
         seed: of the split into matches to fit to and held-out ones.
 
     Returns:
@@ -70,7 +87,7 @@ def align_photos(
     """
     rig = rig_at_sizes(rig, tele_hw=photos.tele.shape[:2], wide_hw=photos.wide.shape[:2])
     matches = find_photo_matches(photos.tele, photos.wide, rig=rig)
-    refinement = fit_shot(matches, rig=rig, seconds_between=seconds, seed=seed)
+    refinement = fit_shot(matches, rig=rig, seconds_between=facts.seconds_between, seed=seed)
     rectified = rectify_pair(
         photos.tele,
         photos.wide,
@@ -79,7 +96,9 @@ def align_photos(
         working_width_px=working_width_px,
     )
     moved = find_moving(matches, refinement, rig=rig)
-    return rectified, Alignment(refinement, moved, rectified.geometry)
+    of_matches = _factor_of_matches(photos, rig, refinement)
+    asymmetry = compare_factors(rig=rig.asymmetry, matches=of_matches, exif=facts.asymmetry)
+    return rectified, Alignment(refinement, moved, asymmetry, rectified.geometry)
 
 
 def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
@@ -130,10 +149,20 @@ def _known(value: float) -> float:
     return value if math.isfinite(value) else 0.0
 
 
-def seconds_apart(capture: Capture) -> float | None:
-    """Time between the two exposures of a capture, s; None where EXIF does not tell."""
-    tele, wide = (read_photo_facts(path).taken for path in (capture.tele_path, capture.wide_path))
-    return None if tele is None or wide is None else seconds_between(tele, wide)
+def _factor_of_matches(photos: PhotoPair, rig: StereoRig, refinement: ShotRefinement) -> float | None:
+    if refinement.is_fitted:
+        return rig.asymmetry / refinement.scale  # it corrects the rig's focal ratio by what the matches show
+    estimate = estimate_scale(photos.tele, photos.wide)
+    return None if estimate is None else estimate.factor
+
+
+def read_shot_facts(capture: Capture) -> ShotFacts:
+    """Read what the two photos of a capture state about themselves."""
+    tele, wide = (read_photo_facts(path) for path in (capture.tele_path, capture.wide_path))
+    return ShotFacts(
+        None if tele.taken is None or wide.taken is None else seconds_between(tele.taken, wide.taken),
+        factor_from_exif(tele_f35_mm=tele.f35_mm, wide_f35_mm=wide.f35_mm, tele_hw=tele.hw, wide_hw=wide.hw),
+    )
 
 
 def plain_rig(rig: StereoRig) -> dict[str, object]:
@@ -163,6 +192,7 @@ def alignment_as_json(alignment: Alignment) -> str:
         "tele_hw": list(rig.tele.hw),
         "wide_hw": list(rig.wide.hw),
         "refinement": {**vars(shot), **arrays, "notes": list(shot.notes)},
+        "asymmetry": vars(alignment.asymmetry),
         "moved": [{**vars(region), "outline_px": region.outline_px.tolist()} for region in alignment.moved],
     }
     return json.dumps(plain, indent=2) + "\n"
@@ -190,6 +220,7 @@ def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | No
         MovedRegion(**{**region, "outline_px": np.asarray(region["outline_px"], dtype=np.float64)})
         for region in plain["moved"]
     )
+    asymmetry = AsymmetryEstimate(**{**plain["asymmetry"], "statements": tuple(plain["asymmetry"]["statements"])})
     of_sizes = rig_at_sizes(rig, tele_hw=tuple(plain["tele_hw"]), wide_hw=tuple(plain["wide_hw"]))
     geometry = rectified_geometry(refined_rig(of_sizes, refinement), working_width_px=working_width_px)
-    return Alignment(refinement, moved, geometry)
+    return Alignment(refinement, moved, asymmetry, geometry)

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from telewide.align import Alignment, align_photos, alignment_as_json, alignment_from_json, plain_rig, seconds_apart
+from telewide.align import Alignment, align_photos, alignment_as_json, alignment_from_json, plain_rig, read_shot_facts
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
@@ -38,7 +38,7 @@ from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.recipe import Recipe
 from telewide.training.samples import LABELS_NAME
 
-FORMAT = 3
+FORMAT = 4
 SHOT_NAME = "shot.json"
 LABEL_CONFIDENCE = 0.5
 
@@ -202,7 +202,7 @@ def _rectified(
         read_photos(capture),
         rig=rig.rig,
         working_width_px=recipe.working_width_px,
-        seconds=seconds_apart(capture),
+        facts=read_shot_facts(capture),
         seed=recipe.seed,
     )
     return (rectified.pair, alignment.geometry.scale), alignment
