@@ -91,5 +91,5 @@ def _seen(
         points = origin + rays * ((depth_m - origin[2]) / rays[:, 2])[:, None]
         return np.asarray(points[:, :2] * rig.tele.f_px / depth_m + middle)
 
-    map_x, map_y = dense_map(texture_px, hw=camera.hw)
+    map_x, map_y = dense_map(texture_px, hw=camera.hw, max_error_px=0.02)
     return resample(texture, map_x, map_y, shrink=rig.tele.f_px / camera.f_px)

@@ -9,7 +9,7 @@ Letters: S captures, N matches of one capture, K parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from telewide.correction.epipolar import across_in_wide, epipolar_misfit_px, mat
 from telewide.correction.matches import Matches
 from telewide.correction.robust import RobustFit, fit_robustly, numeric_jacobian
 from telewide.errors import InputError
+from telewide.geometry.rectification import rectifying_rotation
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 FloatArray = NDArray[np.float64]
@@ -38,6 +39,7 @@ _CENTRE_PRIOR_SHARE = 0.01
 _SHOT_PRIOR = (4.0, 0.003, 0.005)
 _N_GLOBAL = 9
 _N_SHOT = 3
+_FAR_SHARE = 0.5
 _SIDES: dict[Side, tuple[float, float]] = {"right": (1, 0), "left": (-1, 0), "below": (0, 1), "above": (0, -1)}
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
 
@@ -247,15 +249,16 @@ def _solved(scenes: _Scenes, *, x_rig: FloatArray | None = None) -> RobustFit:
 
 
 def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wide_side: Side | None) -> SceneRig:
-    rig = scenes.rig(fit.x)
-    std = fit.std
+    solved = scenes.rig(fit.x)
     zero_px = _zero_std_px(fit, scenes)
-    is_backward, is_sure = _is_backward(rig, scenes, zero_px=zero_px)
+    is_backward, is_sure = _is_backward(solved, scenes, zero_px=zero_px)
     if wide_side is not None:
-        wide_centre = -rig.wide_from_tele[:3, :3].T @ rig.wide_from_tele[:3, 3]
+        wide_centre = -solved.wide_from_tele[:3, :3].T @ solved.wide_from_tele[:3, 3]
         is_backward, is_sure = bool(wide_centre[:2] @ _SIDES[wide_side] < 0), True
-    transform = rig.wide_from_tele.copy()
+    transform = solved.wide_from_tele.copy()
     transform[:3, 3] *= (-1.0 if is_backward else 1.0) * (1.0 if baseline_m is None else baseline_m)
+    rig, shift_px = _brought_in_front(StereoRig(solved.tele, solved.wide, transform, baseline_m is not None), scenes)
+    zero_px = float(np.hypot(zero_px, shift_px))
     notes = []
     if not is_sure:
         notes.append("the side of tele wide stands on is a guess: if near and far come out exchanged, it is the other")
@@ -263,8 +266,9 @@ def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wid
         notes.append(f"the zero of disparity is known to {zero_px:.0f} px only: pin it with a known distance")
     if baseline_m is None:
         notes.append("the baseline is not known: depth is relative")
+    std = fit.std
     return SceneRig(
-        rig=StereoRig(rig.tele, rig.wide, transform, is_scale_known=baseline_m is not None),
+        rig=rig,
         std=SceneStd(
             tele_f_share=float(std[3]),
             ratio_share=float(std[4]),
@@ -291,15 +295,40 @@ def _zero_std_px(fit: RobustFit, scenes: _Scenes) -> float:
 
     x = fit.x[:_N_GLOBAL]
     J = numeric_jacobian(disparity_px, x, step=1e-3 * scenes.prior_std[:_N_GLOBAL])[0]
-    return float(np.sqrt(J @ fit.covariance[:_N_GLOBAL, :_N_GLOBAL] @ J))
+    tele_centre_px = _CENTRE_PRIOR_SHARE * max(scenes.tele_hw)  # taken as the middle of the photo
+    return float(np.hypot(tele_centre_px, np.sqrt(J @ fit.covariance[:_N_GLOBAL, :_N_GLOBAL] @ J)))
+
+
+def _disparity_px(rig: StereoRig, scenes: _Scenes) -> FloatArray:
+    tele, wide = rectified_points(scenes.matches.ref_px, scenes.matches.src_px, rig=rig)
+    return np.asarray(rig.tele.f_px * (tele[:, 0] - wide[:, 0]))
 
 
 def _is_backward(rig: StereoRig, scenes: _Scenes, *, zero_px: float) -> tuple[bool, bool]:
-    """Whether most points would lie behind the cameras, and whether that can be told at all."""
-    tele, wide = rectified_points(scenes.matches.ref_px, scenes.matches.src_px, rig=rig)
-    low_px, high_px = np.percentile(rig.tele.f_px * (tele[:, 0] - wide[:, 0]), (5, 95))
-    # in front of the cameras all disparities are positive
-    return bool(-low_px > high_px), bool(abs(low_px + high_px) > 2 * zero_px)
+    """Whether the baseline's sign is to be turned, and whether that can be told at all.
+
+    All disparities are positive in front of the cameras, and something is usually twice as far as something else. Where
+    the zero is not known well enough to say so, what is lower in the photos is taken to be nearer: a guess.
+    """
+    disparity_px = _disparity_px(rig, scenes)
+    low_px, high_px = np.percentile(disparity_px, (5, 95))
+    near_px, far_px = (low_px, high_px) if -low_px > high_px else (high_px, low_px)
+    if abs(low_px + high_px) > 2 * zero_px and abs(far_px) < _FAR_SHARE * abs(near_px):
+        return bool(-low_px > high_px), True
+    nearer_below = [
+        np.corrcoef(disparity_px[scenes.scene == s], scenes.matches.ref_px[scenes.scene == s, 1])[0, 1]
+        for s in range(scenes.n)
+    ]
+    return bool(np.nanmean(nearer_below) < 0), False
+
+
+def _brought_in_front(rig: StereoRig, scenes: _Scenes) -> tuple[StereoRig, float]:
+    """Shift wide's principal point along the baseline until nothing lies beyond infinity; the shift in tele px."""
+    shift_px = -min(0.0, float(np.percentile(_disparity_px(rig, scenes), 1)))
+    along = (rig.wide_from_tele[:3, :3] @ rectifying_rotation(rig)[0])[:2]
+    K = rig.wide.K.copy()
+    K[:2, 2] += shift_px / rig.asymmetry * along / np.linalg.norm(along)
+    return replace(rig, wide=replace(rig.wide, K=K)), shift_px
 
 
 def _in_a_row(scenes: Sequence[Matches]) -> tuple[Matches, NDArray[np.intp]]:

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from rig_worlds import angle_deg, measured, phone_rig, seen_points, wide_centre
 
+from telewide.capture.images import read_image
 from telewide.correction.epipolar import moved_rig, vertical_misfit_px
 from telewide.correction.matches import Matches
+from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.scenes import FocalPrior, first_rig, rig_from_scenes
 from telewide.correction.shot import fit_shot, refined_rig
 from telewide.errors import InputError
@@ -78,3 +82,27 @@ def test_the_first_guess_is_straight_ahead() -> None:
     np.testing.assert_allclose(rig.wide_from_tele[:3, :3], np.eye(3))
     np.testing.assert_allclose(rig.wide.K, [[50, 0, 39.5], [0, 50, 29.5], [0, 0, 1]])
     assert rig.asymmetry == pytest.approx(2.0)
+
+
+@pytest.mark.slow
+def test_two_lenses_of_a_phone_from_photos_alone(data_root: Path) -> None:
+    folder = data_root / "phone_wide_ultra"
+    focal = FocalPrior(tele_f_px=723.0, wide_f_px=393.0)
+    scenes = []
+    for motion in ("Forward_0-5-10-15_cm", "Left_0-5-10-15_cm", "Roll_Clockwise_0-10-20-30_degrees"):
+        for tele_path in sorted((folder / motion).glob("wide_*.jpg"))[:3]:
+            tele, wide = (
+                read_image(path) for path in (tele_path, tele_path.with_name(tele_path.name.replace("wide_", "ultra_")))
+            )
+            guess = first_rig(tele_hw=tele.shape[:2], wide_hw=wide.shape[:2], focal=focal)
+            scenes.append(find_photo_matches(tele, wide, rig=guess))
+    found = rig_from_scenes(scenes[::2], tele_hw=tele.shape[:2], wide_hw=wide.shape[:2], focal=focal)
+    # similarities between the photos show 1.84 to 1.87
+    assert found.rig.asymmetry == pytest.approx(1.86, rel=0.03)
+    # its authors state a translation of (-0.0136, 0.0098, 0.0097) m
+    assert found.rig.wide_from_tele[0, 3] < -0.5
+    assert found.rig.wide_from_tele[1, 3] > 0.5
+    for scene in scenes[1::2]:
+        shot = fit_shot(scene, rig=found.rig)
+        assert shot.is_fitted
+        assert shot.residual_after_px < 0.5
