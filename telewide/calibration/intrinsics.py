@@ -21,7 +21,7 @@ from telewide.calibration.problem import Problem, Sightings, State
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-DISAGREES = 3.0
+DISAGREES = 2.5
 """A view whose typical error is this many times the others' does not agree with them."""
 _NEGLIGIBLE_PX = 0.05
 _ROUNDS = 8
@@ -137,7 +137,7 @@ def _agreeing(problem: Problem, state: State) -> tuple[Problem, State, BoolArray
 
 
 def agrees(scale_px: FloatArray) -> BoolArray:
-    """Which views agree with most of the others: typical error at most three times that of the better ones.
+    """Which views agree with most of the others: typical error at most two and a half times that of the better ones.
 
     Args:
         scale_px: (V,) typical errors.
