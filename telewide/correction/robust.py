@@ -38,7 +38,7 @@ class RobustFit:
         x: (K,) parameters.
         covariance: (K, K).
         residuals: (N,) at the solution.
-        cost: mean loss at the solution and what the priors add, with the first, fixed c; solutions compare by it.
+        cost: the loss at the solution and what the priors add, with the first, fixed c; solutions compare by it.
     """
 
     x: FloatArray
