@@ -8,9 +8,10 @@ What was fitted is kept as plain numbers, so that results find back to the photo
 from __future__ import annotations
 
 import json
+import logging
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,8 @@ from telewide.errors import UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
 from telewide.output.metric import DepthPrecision, lens_shift_std_px
+
+_log = logging.getLogger("telewide")
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,12 @@ def align_photos(
     Raises:
         InputError: the photos do not fit the rig, or it cannot be rectified.
     """
+    as_calibrated = rig
     rig = rig_at_sizes(rig, tele_hw=photos.tele.shape[:2], wide_hw=photos.wide.shape[:2])
     matches = find_photo_matches(photos.tele, photos.wide, rig=rig)
     refinement = fit_shot(matches, rig=rig, seconds_between=facts.seconds_between, seed=seed)
+    if rig.tele.hw != as_calibrated.tele.hw:
+        refinement = replace(refinement, notes=(*refinement.notes, _resized_note(rig, as_calibrated)))
     rectified = rectify_pair(
         photos.tele,
         photos.wide,
@@ -109,24 +115,27 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
         captures: the set.
 
     Returns:
-        The named rig; or ``rig.yaml`` in the captures' folder, beside it, or in the working folder; None where there
-        is none, or where captures.yaml states that the captures are rectified.
+        The named rig; or ``rig.yaml`` in the captures' folder, in one of the two above it, or in the working folder;
+        None where there is none, or where captures.yaml states that the captures are rectified.
 
     Raises:
         UsageError: the named file does not exist, or the captures are stated to be rectified.
         InputError: it is no rig.
     """
+    folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
+    lying = next((folder / RIG_FILE for folder in folders if (folder / RIG_FILE).is_file()), None)
     if captures.facts.rectified:
         if stated is not None:
             raise UsageError(
                 f"--rig {stated}: captures.yaml of {captures.root} states that its captures are rectified",
                 hint="remove 'rectified: true' there, or leave --rig out",
             )
+        if lying is not None:
+            _log.warning("%s is not used: captures.yaml states that the captures are rectified", lying)
         return None
     if stated is not None:
         return read_rig(stated)
-    folders = (captures.root, captures.root.absolute().parent, Path.cwd())
-    return next((read_rig(folder / RIG_FILE) for folder in folders if (folder / RIG_FILE).is_file()), None)
+    return None if lying is None else read_rig(lying)
 
 
 def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthPrecision:
@@ -147,6 +156,14 @@ def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthP
 
 def _known(value: float) -> float:
     return value if math.isfinite(value) else 0.0
+
+
+def _resized_note(rig: StereoRig, as_calibrated: StereoRig) -> str:
+    (height, width), (rig_height, rig_width) = rig.tele.hw, as_calibrated.tele.hw
+    return (
+        f"tele is {width} x {height} px, the rig was made at {rig_width} x {rig_height} px: taken for the whole "
+        "photo at another size; if it was cropped, its depth is wrong"
+    )
 
 
 def _factor_of_matches(photos: PhotoPair, rig: StereoRig, refinement: ShotRefinement) -> float | None:

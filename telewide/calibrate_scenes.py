@@ -217,7 +217,12 @@ def _checks(whole: SceneRig, *, focal: FocalPrior, p90_px: float, cross_px: floa
             _SCENES[0],
             "" if n >= _SCENES[0] else f"{n} captures had matches enough. {more}",
         ),
-        _at_most("focal length", whole.std.tele_f_share, _F_STD, "Focal lengths are EXIF's: photograph a board."),
+        _at_most(
+            "focal length",
+            whole.std.tele_f_share,
+            _F_STD,
+            "Focal lengths are only as good as EXIF's, or as stated: photograph a board.",
+        ),
         _at_most(
             "focal length against EXIF",
             abs(whole.rig.tele.f_px / focal.tele_f_px - 1),

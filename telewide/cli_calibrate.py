@@ -173,7 +173,7 @@ def _say(stored: StoredRig, notes: Sequence[str], observer: ConsoleObserver) -> 
 
 def _say_next(stored: StoredRig, observer: ConsoleObserver) -> None:
     if stored.quality.verdict != "insufficient":
-        observer.said("next: telewide train captures/")
+        observer.said("next: telewide train captures/  (a rig that lies elsewhere is named with --rig)")
 
 
 def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, as_json: bool) -> None:

@@ -208,6 +208,11 @@ def _begun(
 def _check(call: _Call, options: DepthOptions) -> None:
     rig = None if call.rig is None else call.rig.rig
     check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
+    if options.known is not None and len(call.captures.captures) > 1:
+        raise UsageError(
+            f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
+            hint=f"name one: telewide depth {call.captures.root}/{call.captures.captures[0].name} --distance X,Y,M",
+        )
     if options.known is not None and rig is None:
         raise UsageError(
             "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"

@@ -40,6 +40,10 @@ from telewide.training.samples import LABELS_NAME
 
 FORMAT = 4
 SHOT_NAME = "shot.json"
+_NO_CAPTURE_LEFT = {
+    True: "mend the captures named above; photos as they were taken need a rig first: telewide calibrate",
+    False: "mend the captures named above",
+}
 LABEL_CONFIDENCE = 0.5
 
 
@@ -128,7 +132,7 @@ def prepare_captures(
         try:
             prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig)
         except InputError as error:
-            problems.append(Problem(capture.name, error.message))
+            problems.append(Problem(capture.name, f"{error.message}; {error.hint}" if error.hint else error.message))
             prepared = None
         if prepared is not None and prepared.report.verdict == "refused":
             problems.append(Problem(capture.name, "; ".join(prepared.report.reasons)))
@@ -138,7 +142,7 @@ def prepare_captures(
             tick(prepared.report if prepared is not None else None)
     if not pairs:
         lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
-        raise InputError(f"{captures.root}: no capture can be used{lines}", hint="mend the captures named above")
+        raise InputError(f"{captures.root}: no capture can be used{lines}", hint=_NO_CAPTURE_LEFT[rig is None])
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
 
 

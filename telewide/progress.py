@@ -72,7 +72,7 @@ class ConsoleObserver:
             for reason in pair.report.reasons:
                 self.said(f"{pair.report.verdict}: {pair.report.name}: {reason}")
         self._warn(prepared.problems)
-        if prepared.facts.rectified is None and prepared.rig is None:
+        if prepared.facts.rectified is None and prepared.rig is None and not self.is_quiet:
             worst_px = max((abs(pair.report.vertical_residual_px) for pair in prepared.pairs), default=math.nan)
             self._line(
                 f"note: nothing states that these captures are rectified; rows disagreed by up to {worst_px:.1f} px "

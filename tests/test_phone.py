@@ -82,9 +82,10 @@ def test_a_known_distance_takes_the_lens_shift_out(phone: Path, depths: list[dic
     y, x = np.argwhere(is_sure)[np.count_nonzero(is_sure) // 2]
     ray = np.linalg.solve(before["K"], [x, y, 1])
     distance_m = float(before["truth_m"][y, x] * np.linalg.norm(ray))
-    words = ["depth", str(phone / "captures"), "--run", str(phone / "run"), "--method", "sgm", "-q"]
-    words += ["--distance", f"{x},{y},{distance_m}", "--out", str(phone / "run" / "pinned")]
-    assert cli._exit_code(words) == 0
+    words = ["--run", str(phone / "run"), "--method", "sgm", "-q", "--out", str(phone / "run" / "pinned")]
+    words += ["--distance", f"{x},{y},{distance_m}"]
+    assert cli._exit_code(["depth", str(phone / "captures"), *words]) == 2  # whose photo?
+    assert cli._exit_code(["depth", str(phone / "captures" / "000"), *words]) == 0
     after = _depth_beside_truth(phone, "000", "pinned")
 
     def error(depth: dict[str, np.ndarray]) -> float:

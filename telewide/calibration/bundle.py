@@ -114,8 +114,7 @@ def _squares(
     problem: Problem, state: State, *, lens: int, is_robust: bool, is_shared_needed: bool = True
 ) -> FloatArray:
     """``[J r]^T W [J r]`` of each view, (V, n + 7, n + 7): the lens's columns, the pose's six, the residual."""
-    views = problem.views[lens]
-    assert views is not None
+    views = problem.seen_by(lens)
     turned = problem.board_m @ state.pose_R[views.shot].transpose(0, 2, 1)
     in_tele = turned + state.pose_t[views.shot][:, None]
     points_m = in_tele if lens == 0 else in_tele @ state.rig_R.T + state.rig_t

@@ -127,7 +127,7 @@ def _view_checks(evidence: Evidence) -> Iterator[Check]:
     typical_px = float(np.median(sizes_px)) if sizes_px else float("nan")
     advice = (
         f"A square spans {typical_px:.0f} px in the wide photos. Photograph a board with squares "
-        f"{WIDE_SQUARE_PX[0] / max(typical_px, 1):.1f} times as large, or from nearer."
+        f"{1.1 * WIDE_SQUARE_PX[0] / max(typical_px, 1):.1f} times as large, or from nearer."
     )
     yield _at_least("square size in wide", typical_px, WIDE_SQUARE_PX, advice)
     distances_m = [tele.distance_m for tele, _ in joint]

@@ -120,8 +120,7 @@ def _first_noise_px(hw: tuple[int, int]) -> float:
 
 def _agreeing(problem: Problem, state: State) -> tuple[Problem, State, BoolArray]:
     """Fit and leave out in turns until the views that agree stay the same; noise is measured on the way."""
-    views = problem.views[0]
-    assert views is not None
+    views = problem.seen_by(0)
     is_used = np.ones(len(views.shot), dtype=bool)
     for turn in range(_ROUNDS):
         state = placed(problem, state)
@@ -156,8 +155,7 @@ def _placed_left_out(problem: Problem, state: State, *, is_used: BoolArray) -> S
     """Boards of the views left out, placed as well as this lens allows."""
     if is_used.all():
         return state
-    views = problem.views[0]
-    assert views is not None
+    views = problem.seen_by(0)
     anew = placed(problem, state)
     used = np.zeros(len(state.pose_t), dtype=bool)
     used[views.shot[is_used]] = True

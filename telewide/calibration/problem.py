@@ -112,6 +112,13 @@ class Problem:
             raise ValueError("this problem has one lens")
         return tele, wide
 
+    def seen_by(self, lens: int) -> Sightings:
+        """Sightings of a lens, 0 for tele and 1 for wide, that this problem has."""
+        views = self.views[lens]
+        if views is None:
+            raise ValueError(f"lens {lens} is not part of this problem")
+        return views
+
     def of_shots(self, shots: BoolArray) -> Problem:
         """The part that some shots, (S,) bool, are."""
         parts = [None if views is None else views.only(shots[views.shot]) for views in self.views]

@@ -25,7 +25,7 @@ from telewide.calibration.extrinsics import (
 )
 from telewide.calibration.intrinsics import LensFit, fit_lens
 from telewide.calibration.models import free_numbers, raised_models
-from telewide.calibration.problem import N_SHARED, RIG, Problem, State
+from telewide.calibration.problem import RIG, Problem, State
 from telewide.calibration.result import BoardPose, Calibration, CameraStd, TransformStd
 from telewide.calibration.shots import DetectedShot
 from telewide.calibration.sightings import Gathered, gather, square_px
@@ -92,13 +92,17 @@ def calibrate_rig(
         transform_std=_transform_std(sure, solution.state),
         excess=sure.excess,
     )
+    return _calibration(evidence, board_poses=_board_poses(shots, solution))
+
+
+def _calibration(evidence: Evidence, *, board_poses: tuple[BoardPose, ...]) -> Calibration:
     return Calibration(
-        rig=rig,
+        rig=evidence.rig,
         tele_std=evidence.stds[0],
         wide_std=evidence.stds[1],
         transform_std=evidence.transform_std,
-        views=views,
-        board_poses=_board_poses(shots, solution),
+        views=evidence.views,
+        board_poses=board_poses,
         half_rigs=evidence.half_rigs,
         quality=quality_of(evidence),
     )
@@ -173,8 +177,7 @@ def _refuse_contradiction(problem: Problem, agreed: Agreement) -> None:
     if candidates.sum() < 2:
         return
     squares = np.zeros(len(candidates))
-    for lens, views in enumerate(problem.views):
-        assert views is not None
+    for lens, views in enumerate(problem.both):
         for shot, points_px, seen in zip(views.shot, views.points_px, views.is_seen, strict=True):
             squares[shot] = np.fmax(squares[shot], agreed.together_px[lens][shot] / square_px(points_px[seen]))
     typical = float(np.median(squares[candidates]))
@@ -194,7 +197,6 @@ def _camera_std(sure: Uncertainty, state: State, *, lens: int) -> CameraStd:
 
 def _transform_std(sure: Uncertainty, state: State) -> TransformStd:
     covariance = sure.covariance[RIG, RIG]
-    assert covariance.shape == (N_SHARED - RIG.start,) * 2
     std = np.sqrt(np.maximum(np.diag(covariance), 0))
     along = state.rig_t / max(float(np.linalg.norm(state.rig_t)), 1e-300)
     baseline_m = float(np.sqrt(max(float(along @ covariance[3:, 3:] @ along), 0.0)))

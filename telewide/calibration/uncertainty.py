@@ -73,8 +73,7 @@ def _without_poses(cross: FloatArray, pose: FloatArray, shared: FloatArray) -> t
 
 def _noise_px(problem: Problem, state: State, *, lens: int, free: NDArray[np.bool_]) -> float:
     """Noise behind a soft-L1 fit: ``E psi^2 / (E psi')^2`` (Huber 1981), for the degrees of freedom left."""
-    views = problem.views[lens]
-    assert views is not None
+    views = problem.seen_by(lens)
     sigma_px = problem.sigma_px[lens]
     squared = np.sum(residuals_px(problem, state, lens=lens)[views.is_seen] ** 2, axis=-1) / sigma_px**2
     weight = 1 / np.sqrt(1 + squared / SOFT**2)

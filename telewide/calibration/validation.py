@@ -76,8 +76,7 @@ def _odd_shots(problem: Problem, *, n_shots: int) -> BoolArray:
     joint[: len(found)] = found
     odd = np.zeros(n_shots, dtype=bool)
     odd[np.flatnonzero(joint)[::2]] = True
-    for views in problem.views:
-        assert views is not None
+    for views in problem.both:
         odd[views.shot[~joint[views.shot]][::2]] = True
     return odd
 

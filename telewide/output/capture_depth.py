@@ -14,6 +14,7 @@ import numpy as np
 
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
+from telewide.capture.rundir import fingerprint
 from telewide.correction.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.correction.moving import MovedRegion, moving_mask
 from telewide.correction.pin import KnownDistance, pin_distance, pin_scale
@@ -150,7 +151,10 @@ def _make(
     else:
         photo = read_image(source.tele_path)
         result = _result_of_shot(source.name, working, photo, shot=shot)
+    before = fingerprint(folder / "disparity.pfm") if (folder / "disparity.pfm").is_file() else None
     written = write_depth(folder, result, image=photo)
+    if before != fingerprint(folder / "disparity.pfm"):
+        (folder / "bokeh.jpg").unlink(missing_ok=True)  # of another depth
     names = [path.name for path in written.paths]
     if bokeh is not None:
         names.append("bokeh.jpg")

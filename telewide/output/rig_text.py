@@ -52,7 +52,9 @@ def summary_line(rig: StereoRig, quality: CalibrationQuality, *, baseline_std_m:
             if is_fit
             else []
         ),
-        f"held-out epipolar error {_px(quality.epipolar_p90_px)} (90 % are below)",
+        f"held-out epipolar error {_px(quality.epipolar_p90_px)} (90 % are below)"
+        if math.isfinite(quality.epipolar_p90_px)
+        else "nothing held out to judge by",
         f"f_tele / f_wide {rig.asymmetry:.3f}",
     ]
     if rig.is_scale_known:

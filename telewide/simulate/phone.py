@@ -39,6 +39,7 @@ NEAREST_M, FARTHEST_M = 0.65, 4.0
 BOARD_CORNERS, BOARD_SQUARE_M = (9, 6), 0.025
 """Inner corners along x and y: the board chessboard_9x6."""
 _SUPERSAMPLING = 3
+_CURTAIN = (0.36, 0.35, 0.33)
 _PLACE_ERROR_SQUARES = 1e-3
 
 
@@ -115,7 +116,7 @@ def _lenses(rig: StereoRig) -> tuple[tuple[str, Camera, FloatArray], ...]:
 def _board_pose(rng: np.random.Generator, rig: StereoRig, *, number: int) -> FloatArray:
     """(4, 4) tele from board: tilted by 15 to 40 degrees in changing directions, filling about half of tele."""
     size_m = np.array(BOARD_CORNERS) * BOARD_SQUARE_M
-    fill = float(rng.uniform(0.42, 0.68))
+    fill = float(rng.uniform(0.5, 0.7))
     distance_m = rig.tele.f_px * size_m[0] / (fill * rig.tele.hw[1])
     direction = 2 * math.pi * (number + float(rng.uniform(0, 1))) * 0.382
     tilt_rad = math.radians(float(rng.uniform(15, 40)))
@@ -174,7 +175,7 @@ def _moved(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
 
 
 def _looked_up(view: FloatMap, geometry: RectifiedGeometry, *, lens: str) -> FloatMap:
-    """A photo out of its rectified view; what the view does not hold is mirrored."""
+    """A photo out of its rectified view; around what the view holds hangs a grey curtain."""
     rig = geometry.rig
     camera, mapping = (rig.tele, geometry.ref_from_tele) if lens == "tele" else (rig.wide, geometry.src_from_wide)
     fine = camera.resized((camera.hw[0] * _SUPERSAMPLING, camera.hw[1] * _SUPERSAMPLING))
@@ -183,7 +184,7 @@ def _looked_up(view: FloatMap, geometry: RectifiedGeometry, *, lens: str) -> Flo
         return mapping((points_px + 0.5) / _SUPERSAMPLING - 0.5)
 
     map_x, map_y = dense_map(from_fine, hw=fine.hw)
-    samples = cv2.remap(view, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+    samples = cv2.remap(view, map_x, map_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=_CURTAIN)
     return np.asarray(cv2.resize(samples, (camera.hw[1], camera.hw[0]), interpolation=cv2.INTER_AREA), np.float32)
 
 

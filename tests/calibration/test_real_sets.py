@@ -55,7 +55,7 @@ def test_photos_of_a_stereo_webcam(data_root: Path) -> None:
     found = calibrate_rig(detected(data_root / "calib_stereo_photos"), board_points_m=board_points_m(BOARD))
     assert stereo_rms_px(found) <= 0.26
     assert found.rig.tele.f_px == pytest.approx(463, rel=1e-2)
-    assert np.mean([view.is_used for view in found.views]) > 0.9
+    assert np.mean([view.is_used for view in found.views]) > 0.85
 
 
 def halved(path: Path, to: Path) -> Path:
