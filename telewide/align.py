@@ -146,7 +146,9 @@ def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthP
         rig: the shots were rectified with.
     """
     tele = alignments[0].geometry.rig.tele
-    offsets_px = [alignment.refinement.vertical_offset_px for alignment in alignments if alignment.refinement.is_fitted]
+    fits = [alignment.refinement for alignment in alignments]
+    # A shot whose pose was fitted has no offset of its own.
+    offsets_px = [fit.vertical_offset_px for fit in fits if fit.is_fitted and fit.is_at_once]
     return DepthPrecision(
         baseline_std_m=0.0 if rig.transform_std is None else _known(rig.transform_std.baseline_m),
         f_std_px=0.0 if rig.tele_std is None else _known(rig.tele_std.f_px) * tele.hw[1] / rig.rig.tele.hw[1],
