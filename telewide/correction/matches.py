@@ -73,7 +73,7 @@ class Matches:
 
 
 @dataclass(frozen=True)
-class _View:
+class DetectedView:
     """Feature points of one view: positions (M, 2) px, diameter (M,) px, angle (M,) deg, unit descriptors (M, 128)."""
 
     xy_px: Points
@@ -114,11 +114,13 @@ def find_matches(
         width / 4 if max_disparity_px is None else max_disparity_px,
         max(8.0, 0.04 * height) if max_vertical_px is None else max_vertical_px,
     )
-    ref_grey, src_grey = _one_bandwidth(grey(ref), grey(src))
-    found = _match_descriptors(
-        _detect(ref_grey, max_features=max_features), _detect(src_grey, max_features=max_features), reach_px=reach_px
+    ref_grey, src_grey = to_one_bandwidth(grey(ref), grey(src))
+    found = match_descriptors(
+        detect_points(ref_grey, max_features=max_features),
+        detect_points(src_grey, max_features=max_features),
+        reach_px=reach_px,
     )
-    return consistent_matches(_align(ref_grey, src_grey, found))
+    return consistent_matches(align_matches(ref_grey, src_grey, found))
 
 
 def consistent_matches(matches: Matches) -> Matches:
@@ -159,26 +161,39 @@ def split_matches(matches: Matches, *, held_out_share: float = 0.5, seed: int = 
     return matches.select(np.sort(order[n_held_out:])), matches.select(np.sort(order[:n_held_out]))
 
 
-def _one_bandwidth(ref_HW: FloatImage, src_HW: FloatImage) -> tuple[FloatImage, FloatImage]:
-    """Blur the sharper view to the other's bandwidth."""
+def to_one_bandwidth(ref_HW: FloatImage, src_HW: FloatImage) -> tuple[FloatImage, FloatImage]:
+    """Blur the sharper view to the other's bandwidth.
+
+    Args:
+        ref_HW: (H, W) grey, in [0, 1].
+        src_HW: (H', W') likewise.
+
+    Returns:
+        Both views, equally sharp.
+    """
     factor = estimate_asymmetry(ref_HW, src_HW) or 1.0
     ref_blurred = blur_to_bandwidth(ref_HW, factor=min(factor, _MAX_BLUR_FACTOR))
     return ref_blurred, blur_to_bandwidth(src_HW, factor=min(1.0 / factor, _MAX_BLUR_FACTOR))
 
 
-def _detect(image_HW: FloatImage, *, max_features: int) -> _View:
-    """SIFT points of one grey view, stretched to the full range first: the thresholds are absolute."""
+def detect_points(image_HW: FloatImage, *, max_features: int) -> DetectedView:
+    """Find the SIFT points of one view, stretched to the full range first: the thresholds are absolute.
+
+    Args:
+        image_HW: (H, W) grey, in [0, 1].
+        max_features: at most so many points.
+    """
     low, high = np.percentile(image_HW, (0.5, 99.5))
     stretched = np.clip((image_HW - low) * (255.0 / max(float(high - low), 1.0 / 255.0)), 0, 255)
     sift = cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.01, edgeThreshold=12)  # type: ignore[attr-defined]
     points, descriptor = sift.detectAndCompute(np.round(stretched).astype(np.uint8), None)
     if len(points) == 0:
         empty = np.zeros(0)
-        return _View(np.zeros((0, 2)), empty, empty, np.zeros((0, 128), dtype=np.float32))
+        return DetectedView(np.zeros((0, 2)), empty, empty, np.zeros((0, 128), dtype=np.float32))
     small = np.array([p.size <= _MAX_POINT_SIZE_PX for p in points])
     points, descriptor = [p for p, keep in zip(points, small, strict=True) if keep], descriptor[small]
     root = np.sqrt(descriptor / np.maximum(descriptor.sum(axis=1, keepdims=True), 1e-9))
-    return _View(
+    return DetectedView(
         np.array([p.pt for p in points], dtype=np.float64),
         np.array([p.size for p in points], dtype=np.float64),
         np.array([p.angle for p in points], dtype=np.float64),
@@ -186,8 +201,14 @@ def _detect(image_HW: FloatImage, *, max_features: int) -> _View:
     )
 
 
-def _match_descriptors(ref: _View, src: _View, *, reach_px: tuple[float, float]) -> Matches:
-    """Mutual nearest neighbours among the pairs that the geometry allows, clearly better than the second best."""
+def match_descriptors(ref: DetectedView, src: DetectedView, *, reach_px: tuple[float, float]) -> Matches:
+    """Pair mutual nearest neighbours that the geometry allows and that are clearly better than the second best.
+
+    Args:
+        ref: points of ref.
+        src: points of src.
+        reach_px: how far a partner may lie along x and along y.
+    """
     row, column = _candidates(ref, src, reach_px=reach_px)
     similarity = np.einsum("pk,pk->p", ref.descriptor[row], src.descriptor[column])
     best = _is_best(similarity, row, src.xy_px[column]) & _is_best(similarity, column, ref.xy_px[row])
@@ -195,7 +216,9 @@ def _match_descriptors(ref: _View, src: _View, *, reach_px: tuple[float, float])
     return Matches(pairs[:, :2], pairs[:, 2:])
 
 
-def _candidates(ref: _View, src: _View, *, reach_px: tuple[float, float]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _candidates(
+    ref: DetectedView, src: DetectedView, *, reach_px: tuple[float, float]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Index pairs of points within reach that agree in angle and size: a box search, the angle being periodic."""
     trees = []
     for view in (ref, src):
@@ -228,10 +251,15 @@ def _is_best(similarity: NDArray[np.float32], group: NDArray[np.intp], xy_px: Po
     return np.asarray(is_first & ((1.0 - similarity) <= _RATIO**2 * (1.0 - second[group])))
 
 
-def _align(ref_HW: FloatImage, src_HW: FloatImage, matches: Matches) -> Matches:
+def align_matches(ref_HW: FloatImage, src_HW: FloatImage, matches: Matches) -> Matches:
     """Move src points to the best fit of the small patch around them; drop those that wander or do not fit.
 
     Gauss-Newton on the shift between patches of zero mean and unit norm (Lucas and Kanade 1981).
+
+    Args:
+        ref_HW: (H, W) grey view.
+        src_HW: (H', W') grey view, as sharp as ref.
+        matches: N matches, right to a few px.
     """
     if len(matches) == 0:
         return matches

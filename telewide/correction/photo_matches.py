@@ -22,10 +22,10 @@ from telewide.correction.epipolar import MATCHING_SIDE_PX
 from telewide.correction.matches import (
     FloatImage,
     Matches,
-    _align,
-    _detect,
-    _match_descriptors,
-    _one_bandwidth,
+    align_matches,
+    detect_points,
+    match_descriptors,
+    to_one_bandwidth,
 )
 from telewide.correction.overlap import find_overlap
 from telewide.correction.resample import resample
@@ -152,10 +152,10 @@ def _photo_points(
 def _match_views(tele: _VirtualView, wide: _VirtualView) -> Matches:
     """Matches of the two virtual views, in photo pixels."""
     height, width = tele.image.shape
-    tele_grey, wide_grey = _one_bandwidth(tele.image, wide.image)
+    tele_grey, wide_grey = to_one_bandwidth(tele.image, wide.image)
     reach_px = (_REACH_X_SHARE * width, max(8.0, _REACH_Y_SHARE * height))
-    views = [_detect(image, max_features=4000) for image in (tele_grey, wide_grey)]
-    found = _supported(_align(tele_grey, wide_grey, _match_descriptors(views[0], views[1], reach_px=reach_px)))
+    views = [detect_points(image, max_features=4000) for image in (tele_grey, wide_grey)]
+    found = _supported(align_matches(tele_grey, wide_grey, match_descriptors(views[0], views[1], reach_px=reach_px)))
     photos = Matches(tele.photo_px(found.ref_px), wide.photo_px(found.src_px))
     return photos.select(_is_inside(photos.ref_px, tele.camera.hw) & _is_inside(photos.src_px, wide.camera.hw))
 
