@@ -1,4 +1,4 @@
-# make setup | demo | demo-phone | test | lint | bench        (each sets up .venv first, once)
+# make setup | demo | demo-phone | test | test-slow | lint | bench        (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo demo-phone test lint bench clean
+.PHONY: setup demo demo-phone test test-slow lint bench clean
 
 setup: $(STAMP)
 
@@ -26,7 +26,10 @@ demo-phone: $(STAMP)
 	cd demo-phone && ../$(BIN)/telewide run captures --recipe quick
 
 test: $(STAMP)
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
