@@ -154,7 +154,7 @@ def pose_figure(views: Sequence[ViewResult]) -> str:
     ]
     near_m, far_m = min(v.distance_m for v in shown), max(v.distance_m for v in shown)
     caption = (
-        f"Each photo's board: {near_m:.2f} to {far_m:.2f} m away. Good: three distances or more, tilts of 20 to 50 "
+        f"Each photo's board: {near_m:.2f} to {far_m:.2f} m away. Good: three distances or more, tilts of 30 to 45 "
         "degrees in all directions; boards held straight say little."
     )
     x = axis_over([near_m, far_m], label="distance of the board, m")
