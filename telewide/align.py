@@ -20,7 +20,7 @@ from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
 from telewide.capture.exif import read_photo_facts, seconds_between
 from telewide.capture.pair import Capture, CaptureSet, PhotoPair
 from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, factor_from_exif
-from telewide.correction.moving import MovedRegion, find_moving
+from telewide.correction.moving import MovedRegion, find_moving, moving_note
 from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.scale import estimate_scale
@@ -65,9 +65,8 @@ class Alignment:
     @property
     def notes(self) -> tuple[str, ...]:
         """One sentence for everything a person should know."""
-        parts = "a part" if len(self.moved) == 1 else f"{len(self.moved)} parts"
-        moved = f"{parts} of the scene moved between the two photos; no depth there is trusted"
-        return (*self.refinement.notes, *self.asymmetry.statements, *([moved] if self.moved else ()))
+        moved = moving_note(self.moved)
+        return (*self.refinement.notes, *self.asymmetry.statements, *(() if moved is None else (moved,)))
 
 
 def align_photos(

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, grey
+from telewide.correction.asymmetry import grey
 from telewide.correction.matches import FloatImage, Points
 
 MIN_SCALE_MATCHES = 15
@@ -51,24 +51,6 @@ class ScaleEstimate:
     rotation_deg: float
     n: int
     residual_px: float
-
-
-def measure_asymmetry(
-    tele: FloatImage, wide: FloatImage, *, rig: float | None = None, exif: float | None = None
-) -> AsymmetryEstimate:
-    """Measure the asymmetric factor on one pair of photos and compare it with what is stated.
-
-    Args:
-        tele: (H, W, 3) or (H, W) in [0, 1], as captured.
-        wide: (H', W', 3) or (H', W') in [0, 1], as captured.
-        rig: asymmetry of the calibrated rig, where there is one.
-        exif: factor that EXIF states, where it does.
-
-    Returns:
-        The three of them, the one to use, and what is to be said.
-    """
-    scale = estimate_scale(tele, wide)
-    return compare_factors(rig=rig, matches=None if scale is None else scale.factor, exif=exif)
 
 
 def estimate_scale(tele: FloatImage, wide: FloatImage) -> ScaleEstimate | None:

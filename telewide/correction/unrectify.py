@@ -52,12 +52,6 @@ def disparity_on_tele(rectified: DisparityMap, *, geometry: RectifiedGeometry) -
     )
 
 
-def mask_on_tele(mask: BoolMap, *, geometry: RectifiedGeometry) -> BoolMap:
-    """Bring a mask (H, W) of the rectified ref back to the tele photo, (h, w), by the nearest pixel."""
-    map_x, map_y = dense_map(geometry.ref_from_tele, hw=geometry.rig.tele.hw)
-    return np.asarray(_fetch(mask, map_x, map_y) > 0)
-
-
 def _seen_by_tele(disparity_px: FloatMap, *, geometry: RectifiedGeometry) -> FloatMap:
     """Disparities with respect to tele's optical axis, px of the photo, still on the rectified grid."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
