@@ -30,6 +30,7 @@ from telewide.observer import Observer
 from telewide.options import parse_options
 from telewide.output.bokeh_picture import BokehOptions, check_bokeh
 from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
+from telewide.output.metric import DepthPrecision
 from telewide.page import report_row, write_page
 from telewide.prepare import PreparedPair, PreparedSet, prepare_captures
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
@@ -278,9 +279,10 @@ def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: Dep
     """Depth of this process' share, told as it comes; then the others' results, told by the writer alone."""
     processes, begun_s = call.processes, time.monotonic()
     call.observer.matching(len(prepared.pairs), method=options.method)
+    precision = _precision(prepared)
     mine: list[DepthOutcome | DepthFailure] = []
     for item in processes.share(prepared.pairs):
-        mine.append(_depth_of(item, call, prepared, matcher=matcher, options=options))
+        mine.append(_depth_of(item, call, prepared, matcher=matcher, options=options, precision=precision))
         _tell(call.observer, mine[-1])
     results = processes.gathered(tuple(mine))
     for index, result in enumerate(results):
@@ -301,10 +303,16 @@ def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: Dep
 
 
 def _depth_of(
-    item: PreparedPair, call: _Call, prepared: PreparedSet, *, matcher: Matcher, options: DepthOptions
+    item: PreparedPair,
+    call: _Call,
+    prepared: PreparedSet,
+    *,
+    matcher: Matcher,
+    options: DepthOptions,
+    precision: DepthPrecision | None,
 ) -> DepthOutcome | DepthFailure:
     """Match one pair, bring the result to the photo's own size and edges, and write it."""
-    shot = _shot(item, prepared, options)
+    shot = _shot(item, precision, options)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -317,11 +325,15 @@ def _depth_of(
     )
 
 
-def _shot(item: PreparedPair, prepared: PreparedSet, options: DepthOptions) -> ShotGeometry | None:
-    if item.alignment is None or prepared.rig is None:
-        return None
+def _precision(prepared: PreparedSet) -> DepthPrecision | None:
+    """What all depths of the set are uncertain by; None for captures that were rectified when they came."""
     aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
-    precision = shot_precision(aligned, rig=prepared.rig)
+    return shot_precision(aligned, rig=prepared.rig) if aligned and prepared.rig is not None else None
+
+
+def _shot(item: PreparedPair, precision: DepthPrecision | None, options: DepthOptions) -> ShotGeometry | None:
+    if item.alignment is None or precision is None:
+        return None
     return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, options.known)
 
 
