@@ -211,7 +211,7 @@ def _state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> Training
 def _reopen(state: TrainingState) -> None:
     """A finished training takes its last stage again on the larger set, from its result."""
     if state.is_finished:
-        state.is_finished, state.step, state.judgements = False, 0, []
+        state.is_finished, state.step, state.judgements, state.best = False, 0, [], None
         state.stage_judgements = state.stage_judgements[: state.stage_index]
         state.best_stage = min(state.best_stage, max(0, state.stage_index - 1))
         state.optimiser = new_optimiser(state.network)

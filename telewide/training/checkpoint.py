@@ -20,7 +20,7 @@ from pathlib import Path
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
-from torch import nn
+from torch import Tensor, nn
 
 from telewide.capture.rundir import replacing
 from telewide.errors import InputError
@@ -30,6 +30,21 @@ from telewide.matching.window import Window
 FORMAT = "1"
 STATE_NAME = "state.pt"
 WEIGHTS_NAME = "weights.safetensors"
+
+
+@dataclass
+class BestWeights:
+    """The weights of a stage that the held-out matches liked best.
+
+    Attributes:
+        step: of the stage, at which they were judged.
+        judgement: the figure that decides.
+        weights: of the running average.
+    """
+
+    step: int
+    judgement: float
+    weights: dict[str, Tensor]
 
 
 @dataclass
@@ -44,7 +59,8 @@ class TrainingState:
         stage_index: position in the plan.
         step: steps of this stage that are done.
         judgements: of this stage, one each time the held-out matches were asked.
-        stage_judgements: the last judgement of each finished stage.
+        best: of this stage so far; None before a judgement that counts.
+        stage_judgements: the judgement of each finished stage's result.
         is_finished: whether nothing is left to do.
         best_stage: position of the stage whose weights are the result, once finished.
     """
@@ -56,6 +72,7 @@ class TrainingState:
     stage_index: int = 0
     step: int = 0
     judgements: list[float] = field(default_factory=list)
+    best: BestWeights | None = None
     stage_judgements: list[float] = field(default_factory=list)
     is_finished: bool = False
     best_stage: int = 0
@@ -83,6 +100,7 @@ def save_state(state: TrainingState, path: Path) -> None:
         "stage_index": state.stage_index,
         "step": state.step,
         "judgements": list(state.judgements),
+        "best": None if state.best is None else vars(state.best),
         "stage_judgements": list(state.stage_judgements),
         "is_finished": state.is_finished,
         "best_stage": state.best_stage,
@@ -109,6 +127,8 @@ def load_state(path: Path, *, network_name: str, device: torch.device) -> Traini
         if content["teacher"] is not None:
             state.teacher = frozen_extractor(state.network)
             state.teacher.load_state_dict(content["teacher"])
+        if content["best"] is not None:
+            state.best = BestWeights(**content["best"])
         for name in ("stage_index", "step", "judgements", "stage_judgements", "is_finished", "best_stage"):
             setattr(state, name, content[name])
     except (RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError) as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.training.checkpoint import (
     STATE_NAME,
     WEIGHTS_NAME,
+    BestWeights,
     TrainingState,
     WeightsCard,
     frozen_extractor,
@@ -150,7 +151,7 @@ def _begin_stage(state: TrainingState, stage: Stage) -> None:
     state.network.load_state_dict(state.average.state_dict())
     state.optimiser = new_optimiser(state.network)
     state.teacher = frozen_extractor(state.average) if stage.needs_teacher else None
-    state.judgements = []
+    state.judgements, state.best = [], None
 
 
 def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> None:
@@ -167,7 +168,7 @@ def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter:
             state.step += 1
             reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
             if processes.is_any(is_stop_requested()):
-                _save(training, state, stage)
+                _save_underway(training, state, stage)
                 raise KeyboardInterrupt
             if _is_judgement_due(training, state, stage):
                 if _is_converged(training, state, stage, reporter):
@@ -175,7 +176,7 @@ def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter:
                 state.network.train()
             # After the judgement, which would otherwise be missing from the checkpoint of its own step.
             if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
-                _save(training, state, stage)
+                _save_underway(training, state, stage)
                 saved_s = time.monotonic()
 
 
@@ -257,7 +258,7 @@ def _follow(average: StereoNetwork, network: StereoNetwork, *, decay: float) -> 
 
 
 def _is_judgement_due(training: Training, state: TrainingState, stage: Stage) -> bool:
-    every, last = training.options.judge_every_steps, stage.options.steps
+    every, last = stage.options.judge_every_steps or training.options.judge_every_steps, stage.options.steps
     due = state.step // every + (state.step == last and last % every != 0)
     return len(state.judgements) < due
 
@@ -266,12 +267,22 @@ def _is_converged(training: Training, state: TrainingState, stage: Stage, report
     """Ask the held-out matches; True when the last ``patience`` answers brought nothing better."""
     judgement = _ask(training, state)
     state.judgements.append(judgement[DECISIVE])
+    _keep_best(state, stage)
     reporter.judged(stage, step=state.step, judgement=judgement)
     patience = training.options.patience
     if state.step < stage.options.least_steps or len(state.judgements) <= patience:
         return False
     before, recent = state.judgements[:-patience], state.judgements[-patience:]
     return min(recent) > min(before) - LEAST_GAIN_PX
+
+
+def _keep_best(state: TrainingState, stage: Stage) -> None:
+    """Remember the average as it is if it is the best yet; before the stage's least steps nothing counts."""
+    judgement = state.judgements[-1]
+    # Not "smaller": where nothing can be judged, the last weights are the result.
+    if state.step >= stage.options.least_steps and not (state.best and judgement >= state.best.judgement):
+        weights = {name: value.clone() for name, value in state.average.state_dict().items()}
+        state.best = BestWeights(state.step, judgement, weights)
 
 
 def _ask(training: Training, state: TrainingState) -> dict[str, float]:
@@ -285,10 +296,16 @@ def _ask(training: Training, state: TrainingState) -> dict[str, float]:
 def _end_stage(
     training: Training, state: TrainingState, stage: Stage, plan: tuple[Stage, ...], reporter: Reporter
 ) -> None:
-    """Keep the stage's weights; go on, or stop boosting when it no longer helps."""
-    result = state.judgements[-1] if state.judgements else math.nan
+    """Keep the stage's best weights; go on, or stop boosting when it no longer helps."""
+    result = math.nan
+    if state.best is not None:
+        result = state.best.judgement
+        state.average.load_state_dict(state.best.weights)
+        if state.best.step < state.step:
+            reporter.said(f"{stage.name}: the weights of step {state.best.step} are kept, which were judged best")
+    card = _card(training, stage, step=state.best.step if state.best else state.step, judgements=[result])
     if training.processes.is_writer:
-        save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=_card(training, state, stage))
+        save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
     reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
     is_worse = bool(state.stage_judgements) and result >= state.stage_judgements[state.best_stage]
     state.stage_judgements.append(result)
@@ -298,33 +315,38 @@ def _end_stage(
     if is_last or (is_worse and stage.needs_teacher):
         state.is_finished = True
         if is_worse:
-            _return_to_best(training, state, plan, reporter, worse=stage)
+            card = _return_to_best(training, state, plan, reporter, worse=stage)
     else:
         state.stage_index, state.step = stage.index + 1, 0
-    _save(training, state, plan[state.best_stage] if state.is_finished else stage)
+    _save(training, state, card)
 
 
 def _return_to_best(
     training: Training, state: TrainingState, plan: tuple[Stage, ...], reporter: Reporter, *, worse: Stage
-) -> None:
+) -> WeightsCard:
     best = plan[state.best_stage]
     reporter.said(f"{worse.name} did not lower the error at held-out matches; {best.name} is kept and boosting ends")
-    network, _ = load_weights(training.folder / f"{best.name}.safetensors", device=training.device)
+    network, card = load_weights(training.folder / f"{best.name}.safetensors", device=training.device)
     state.average.load_state_dict(network.state_dict())
+    return card
 
 
-def _save(training: Training, state: TrainingState, stage: Stage) -> None:
+def _save(training: Training, state: TrainingState, card: WeightsCard) -> None:
     if training.processes.is_writer:
         save_state(state, training.folder / STATE_NAME)
-        save_weights(state.average, training.folder / WEIGHTS_NAME, card=_card(training, state, stage))
+        save_weights(state.average, training.folder / WEIGHTS_NAME, card=card)
 
 
-def _card(training: Training, state: TrainingState, stage: Stage) -> WeightsCard:
+def _save_underway(training: Training, state: TrainingState, stage: Stage) -> None:
+    _save(training, state, _card(training, stage, step=state.step, judgements=state.judgements[-1:]))
+
+
+def _card(training: Training, stage: Stage, *, step: int, judgements: Sequence[float]) -> WeightsCard:
     return WeightsCard(
         network=training.network_name,
         window=training.window,
         recipe=training.recipe,
-        training={"stage": stage.name, "step": state.step, DECISIVE: state.judgements[-1:]},
+        training={"stage": stage.name, "step": step, DECISIVE: list(judgements)},
     )
 
 

@@ -18,7 +18,7 @@ class StageOptions(Options):
     steps: Count = 1000
     """Ceiling on steps; 0 leaves the stage out."""
     least_steps: Count = 0
-    """Steps before a plateau may end the stage."""
+    """Steps before a plateau may end the stage; its result is the best judged from there on."""
     learning_rate: Positive = 1e-3
     """Of Adam; warmed up over the first steps, falling to a tenth over the last quarter of the ceiling."""
     rehearsed: Count = 0
@@ -39,6 +39,8 @@ class StageOptions(Options):
     """Exchange the views of real crops half of the time, mirrored, as the paper does."""
     labels_weight: Annotated[float, Field(ge=0)] = 0.0
     """Weight of confident semi-global labels beside another loss of the real crops."""
+    judge_every_steps: Annotated[int, Field(ge=1)] | None = None
+    """How often the held-out matches are asked; null takes what holds for all stages."""
 
     @model_validator(mode="after")
     def _has_crops(self) -> StageOptions:

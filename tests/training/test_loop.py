@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import signal
 from itertools import pairwise
 from pathlib import Path
@@ -211,6 +212,54 @@ def test_a_stage_that_gets_better_goes_on_to_its_ceiling(
     state = train(training_in(tmp_path, source, options=options, judge=ScriptedJudge(answers)), fresh(), reporter=heard)
     assert len(heard.losses) == 5
     assert state.is_finished
+
+
+def test_a_stage_results_in_the_weights_that_were_judged_best(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 9}, stages=0, patience=2)
+    at_step: dict[int, StereoNetwork] = {}
+    state = fresh()
+    heard = Heard(after_step=lambda name, step: at_step.update({step: copy.deepcopy(state.average)}))
+    judge = ScriptedJudge((0.5, 0.3, 0.4, 0.6))
+    train(training_in(tmp_path, source, options=options, judge=judge), state, reporter=heard)
+    assert len(at_step) == 4
+    result, card = load_weights(tmp_path / WEIGHTS_NAME, device=CPU)
+    assert is_same(result, at_step[2])
+    assert not is_same(result, at_step[4])
+    assert state.stage_judgements == [0.3]
+    assert card.training == {"stage": "photometric", "step": 2, "clipped_px": [0.3]}
+    assert [message for message in heard.messages if "step 2" in message]
+
+
+def test_no_judgement_before_the_least_steps_counts(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 4, "least_steps": 3}, stages=0)
+    judge = ScriptedJudge((0.1, 0.2, 0.5, 0.4))
+    state = train(training_in(tmp_path, source, options=options, judge=judge), fresh(), reporter=Heard())
+    assert state.stage_judgements == [0.4]
+
+
+def test_a_stage_may_be_judged_at_steps_of_its_own(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 4, "judge_every_steps": 2}, stages=0)
+    heard = Heard()
+    train(training_in(tmp_path, source, options=options), fresh(), reporter=heard)
+    assert [step for _, step, _ in heard.judgements] == [2, 4]
+
+
+def test_the_best_weights_outlive_an_interruption(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 3}, stages=0)
+
+    def stop(name: str, step: int) -> None:
+        if step == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    judge = ScriptedJudge((0.2, 0.4, 0.3))
+    training = training_in(tmp_path, source, options=options, judge=judge)
+    with pytest.raises(KeyboardInterrupt):
+        train(training, fresh(), reporter=Heard(after_step=stop))
+    state = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
+    assert state.best is not None
+    assert state.best.step == 1
+    train(training, state, reporter=Heard())
+    assert state.stage_judgements == [0.2]
 
 
 def test_boosting_stops_when_the_judge_no_longer_falls(tmp_path: Path, source: SampleSource) -> None:
