@@ -63,6 +63,7 @@ DistanceOption = Annotated[
 ]
 DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
+METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, needs no training."
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
@@ -136,7 +137,7 @@ def depth(
     *,
     run: Annotated[Path | None, typer.Option(help="Run folder of a training. [default: run/]")] = None,
     weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
-    method: Annotated[str, typer.Option(metavar="network|sgm", help="sgm needs no training.")] = "network",
+    method: Annotated[str, typer.Option(metavar="joint|network|sgm", help=METHOD_HELP)] = "joint",
     bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,
@@ -194,7 +195,7 @@ def run_everything(
     from telewide.recipe import load_recipe
 
     options = _depth_options(
-        method="network",
+        method="joint",
         weights=None,
         bokeh=_bokeh_options(focus=focus, f_number=f_number, strength=strength),
         out=None,
@@ -329,7 +330,7 @@ def _depth_options(
 
     _check_device(device)
     if method not in METHODS:
-        raise UsageError(f"--method {method}: expected {' or '.join(METHODS)}")
+        raise UsageError(f"--method {method}: expected {', '.join(METHODS)}")
     if weights is not None and not weights.is_file():
         raise UsageError(f"{weights} does not exist; a weights file was expected")
     known = None if distance is None else parse_known_distance(distance)

@@ -1,8 +1,9 @@
-"""What matches two corrected views: semi-global matching, or the network of a weights file."""
+"""What matches two corrected views: semi-global matching, the network of a weights file, or both together."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,7 +18,7 @@ from telewide.recipe import Recipe
 if TYPE_CHECKING:
     from telewide.training.checkpoint import WeightsCard
 
-METHODS = ("network", "sgm")
+METHODS = ("joint", "network", "sgm")
 
 
 class Match(Protocol):
@@ -64,6 +65,7 @@ def choose_matcher(run: RunFolder, *, method: str, weights: Path | None, device:
     if method == "sgm":
         return Matcher(match_semiglobal, "sgm")
     from telewide.matching.inference import choose_device, match_with_network
+    from telewide.matching.joint import match_jointly
     from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
 
     path = weights or run.train / WEIGHTS_NAME
@@ -74,11 +76,8 @@ def choose_matcher(run: RunFolder, *, method: str, weights: Path | None, device:
             hint="train one with: telewide train captures/  or match at once, untrained: telewide depth --method sgm",
         )
     network, card = load_weights(path, device=choose_device(device))
-
-    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
-        return match_with_network(ref, src, network=network, window=window)
-
-    return Matcher(match, fingerprint(path), card.window, _unfinished(path, card))
+    match = partial(match_jointly if method == "joint" else match_with_network, network=network)
+    return Matcher(match, f"{method} {fingerprint(path)}", card.window, _unfinished(path, card))
 
 
 def _unfinished(weights: Path, card: WeightsCard) -> str | None:

@@ -45,7 +45,7 @@ class DepthOptions:
     """What ``telewide depth`` was asked for.
 
     Attributes:
-        method: "network" or "sgm".
+        method: one of `telewide.matcher.METHODS`.
         weights: a weights file, or None for the run's newest.
         bokeh: None for no bokeh picture.
         out: folder for the results, or None for ``depth/`` of the run.
@@ -54,7 +54,7 @@ class DepthOptions:
         known: a point of known distance, or None.
     """
 
-    method: str = "network"
+    method: str = "joint"
     weights: Path | None = None
     bokeh: BokehOptions | None = None
     out: Path | None = None

@@ -1,4 +1,4 @@
-"""The matchers to compare: semi-global matching, and the networks that lie in run folders and weights files."""
+"""The matchers to compare: semi-global matching, the networks of run folders and weights files, and both together."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ def semiglobal_matcher() -> Matcher:
 
 
 def all_matchers(sources: Sequence[Path], *, device: str) -> list[Matcher]:
-    """Semi-global matching, then every stage of every run in the order of training.
+    """Semi-global matching, then every stage of every run in the order of training, and each run's result with both.
 
     Args:
         sources: run folders and weights files.
         device: auto, cpu or cuda.
 
     Returns:
-        The matchers; the result of a run is named so, unless a stage before has the very weights.
+        The matchers; the result of a run is named so, unless a stage before has the very weights. What `telewide depth`
+        computes ends in "+ sgm".
 
     Raises:
         UsageError: a path that does not exist, or a run without weights.
@@ -71,7 +72,7 @@ def _matchers_of(source: Path, label: str, *, device: str) -> list[Matcher]:
     torch_device = choose_device(device)
     if source.is_file():
         network, card = load_weights(source, device=torch_device)
-        return [_network_matcher(label, network, card.window)]
+        return [_network_matcher(label, network, card.window), _joint_matcher(label, network, card.window)]
     folder = RunFolder(source).train
     stages = sorted((p for p in folder.glob(f"*{_SUFFIX}") if p.name != WEIGHTS_NAME), key=_position)
     result = folder / WEIGHTS_NAME
@@ -79,12 +80,14 @@ def _matchers_of(source: Path, label: str, *, device: str) -> list[Matcher]:
         raise UsageError(
             f"{source} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"
         )
+    together = []
     loaded = [(path.stem, *load_weights(path, device=torch_device)) for path in stages]
     if result.is_file():
         network, card = load_weights(result, device=torch_device)
         if not any(_is_equal(network, other) for _, other, _ in loaded):
             loaded.append(("result", network, card))
-    return [_network_matcher(f"{label}/{stage}", network, card.window) for stage, network, card in loaded]
+        together = [_joint_matcher(label, network, card.window)]
+    return [*(_network_matcher(f"{label}/{stage}", network, card.window) for stage, network, card in loaded), *together]
 
 
 def _network_matcher(name: str, network: StereoNetwork, window: Window) -> Matcher:
@@ -94,6 +97,15 @@ def _network_matcher(name: str, network: StereoNetwork, window: Window) -> Match
         return match_with_network(ref, src, network=network, window=window)
 
     return Matcher(name, match, window)
+
+
+def _joint_matcher(name: str, network: StereoNetwork, window: Window) -> Matcher:
+    from telewide.matching.joint import match_jointly
+
+    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
+        return match_jointly(ref, src, network=network, window=window)
+
+    return Matcher(f"{name} + {SGM}", match, window)
 
 
 def _position(path: Path) -> tuple[int, int, str]:

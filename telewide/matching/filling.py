@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.stereo import BoolMap, FloatMap
 
 _RADIUS_PX = 13
+_FEW = 0.3  # share of the surroundings below which a mean fades
 _EDGE_VARIANCE = 20.0  # colour variance, of 255 levels squared, above which the picture counts as having an edge
 
 
@@ -71,8 +72,7 @@ def weighted_median(
     Returns:
         (H, W) float32, px.
     """
-    guide = np.ascontiguousarray(np.clip(guide_rgb * 255 + 0.5, 0, 255).astype(np.uint8))
-    smooth = cv2.ximgproc.createGuidedFilter(guide, radius_px, edge_variance)
+    smooth = _guided_filter(guide_rgb, radius_px, edge_variance)
     median_px = np.full(disparity_px.shape, np.nan, dtype=np.float32)
     share_before: NDArray[np.float32] = np.zeros(disparity_px.shape, dtype=np.float32)
     for level in range(int(np.floor(disparity_px.min())), int(np.ceil(disparity_px.max())) + 1):
@@ -87,6 +87,29 @@ def weighted_median(
     is_near = (np.abs(disparity_px - median_px) < 1).astype(np.float32)
     fraction_px = smooth.filter(is_near * (disparity_px - median_px)) / np.maximum(smooth.filter(is_near), 0.5)
     return np.asarray(median_px + np.clip(fraction_px, -0.5, 0.5), dtype=np.float32)
+
+
+def guided_mean(values: FloatMap, guide_rgb: FloatMap, *, where: BoolMap, radius_px: int = _RADIUS_PX) -> FloatMap:
+    """Mean of the values around each pixel that count, weighted by likeness in the guide (guided filter).
+
+    Args:
+        values: (H, W) float32.
+        guide_rgb: (H, W, 3) float32, sRGB in [0, 1].
+        where: (H, W) bool, the values that count.
+        radius_px: radius of the surroundings, px.
+
+    Returns:
+        (H, W) float32; it fades to zero where few of the surroundings count.
+    """
+    smooth = _guided_filter(guide_rgb, radius_px, _EDGE_VARIANCE)
+    counts = where.astype(np.float32)
+    share = np.maximum(smooth.filter(counts), _FEW)
+    return np.asarray(smooth.filter(np.where(where, values, 0).astype(np.float32)) / share, dtype=np.float32)
+
+
+def _guided_filter(guide_rgb: FloatMap, radius_px: int, edge_variance: float) -> cv2.ximgproc.GuidedFilter:
+    guide = np.ascontiguousarray(np.clip(guide_rgb * 255 + 0.5, 0, 255).astype(np.uint8))
+    return cv2.ximgproc.createGuidedFilter(guide, radius_px, edge_variance)
 
 
 def _last_known(values: FloatMap) -> FloatMap:

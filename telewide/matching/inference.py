@@ -68,7 +68,6 @@ def has_fast_bf16(device: torch.device) -> bool:
     return bool(capability.get("avx512_bf16") or capability.get("amx_bf16") or capability.get("arm_bf16"))
 
 
-@torch.inference_mode()
 def match_with_network(
     ref: FloatImage,
     src: FloatImage,
@@ -79,6 +78,22 @@ def match_with_network(
 ) -> DisparityMap:
     """Match two views with a trained network, on the device its weights are on.
 
+    Arguments and errors as of :func:`match_with_volume`; only its map is returned.
+    """
+    return match_with_volume(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)[0]
+
+
+@torch.inference_mode()
+def match_with_volume(
+    ref: FloatImage,
+    src: FloatImage,
+    *,
+    network: StereoNetwork,
+    window: Window,
+    max_tile_pixels: int = MAX_TILE_PIXELS,
+) -> tuple[DisparityMap, NDArray[np.float32]]:
+    """Match two views with a trained network, and keep what it holds likely.
+
     Args:
         ref: (H, W, 3) sharp view, [0, 1].
         src: (H, W, 3) other view of the same size.
@@ -87,7 +102,8 @@ def match_with_network(
         max_tile_pixels: larger images are computed in overlapping tiles of about this size.
 
     Returns:
-        Disparity everywhere (continued into what src does not see), confidence, and where both views agree.
+        Disparity everywhere (continued into what src does not see), confidence, and where both views agree; and
+        (D, ceil(H / 4), ceil(W / 4)) float32 the negative logarithm of each plane's probability.
 
     Raises:
         ValueError: the views differ in size, or the window does not fit the volume.
@@ -101,15 +117,24 @@ def match_with_network(
     ref_BCHW, src_BCHW = (standardise(_tensor_from_image(view).to(device)) for view in (ref, src))
     disparity_px = np.empty(ref.shape[:2], np.float32)
     confidence, agrees = np.empty_like(disparity_px), np.empty(ref.shape[:2], np.bool_)
+    height, width = (-(-size // VOLUME_STEP_PX) for size in ref.shape[:2])
+    surprise = np.empty(((window[1] - window[0]) // VOLUME_STEP_PX, height, width), np.float32)
     for tile in _tiles(ref.shape[:2], window=window, context_px=network.context_px, max_pixels=max_tile_pixels):
-        maps = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
+        *maps, volume = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
         for whole, part in zip((disparity_px, confidence, agrees), maps, strict=True):
             whole[tile.inner] = part[tile.inner_of_outer].cpu().numpy()
-    return DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px))
+        cells, cells_of_outer = (tuple(map(_cells, slices)) for slices in (tile.inner, tile.inner_of_outer))
+        surprise[:, *cells] = volume[:, *cells_of_outer].cpu().numpy()
+    return DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px)), surprise
 
 
-def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window) -> tuple[Tensor, Tensor, Tensor]:
-    """(H, W) disparity, confidence and agreement of one tile."""
+def _cells(pixels: slice) -> slice:
+    """The cells of the volume that hold a span of pixels, which begins at one."""
+    return slice(pixels.start // VOLUME_STEP_PX, -(-pixels.stop // VOLUME_STEP_PX))
+
+
+def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window) -> tuple[Tensor, ...]:
+    """(H, W) disparity, confidence and agreement of one tile, and (D, H / 4, W / 4) surprise."""
     height, width = ref.shape[-2:]
     ref, src = (pad_to_multiple(view, multiple=GRID_PX) for view in (ref, src))
     with low_precision(ref.device):
@@ -121,7 +146,8 @@ def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window
     sharpness = _enlarge(peak_share(output.logits_BDHW), mode="bilinear")[:, 0]
     confidence = sharpness * (1 - gap_px / AGREEMENT_PX).clamp(min=0)
     cut = (0, slice(height), slice(width))
-    return disparity_px[cut], confidence[cut], (gap_px < AGREEMENT_PX)[cut]
+    surprise = -output.logits_BDHW[0].float().log_softmax(dim=0)
+    return disparity_px[cut], confidence[cut], (gap_px < AGREEMENT_PX)[cut], surprise
 
 
 def _enlarge(map_Bhw: Tensor, *, mode: str) -> Tensor:

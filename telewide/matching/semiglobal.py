@@ -11,6 +11,8 @@ Letters: D disparity levels, H W image, N M steps of a sweep and pixels beside e
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ __all__ = ["fill_background", "match_semiglobal"]
 
 Bytes = NDArray[np.uint8]
 CostVolume = NDArray[np.uint16]
+Doubt = Callable[[int], NDArray[np.uint16]]
 
 _MIN_LEVELS = 4
 # Costs are in levels of colour, of 255, added up over the three channels.
@@ -42,7 +45,9 @@ _AGREEMENT_BLOCK_PX = 9
 _MEASURED_CONFIDENCE = 0.25
 
 
-def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> DisparityMap:
+def match_semiglobal(
+    ref: FloatMap, src: FloatMap, *, window: tuple[int, int], doubt: Doubt | None = None
+) -> DisparityMap:
     """Match two rectified views by semi-global matching.
 
     Takes 4 bytes of memory for every pixel and level.
@@ -51,6 +56,8 @@ def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -
         ref: (H, W, 3) float32, sRGB in [0, 1]: the view the result is for.
         src: (H, W, 3) float32, sRGB in [0, 1]: the other view, of the same size, in ref's colours.
         window: smallest and largest disparity searched, px; the largest is left out.
+        doubt: what else is known: called with each disparity of the window, it returns (H, W) uint16, the cost to
+            add there, on the scale of `_BIT_COST`; up to about 100.
 
     Returns:
         The disparity of ref, filled everywhere. Confidence is a mean over the pixel's surroundings of
@@ -61,7 +68,12 @@ def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -
         ValueError: the views differ in shape, or the window is too small.
     """
     _check_views(ref, src, window=window)
-    total_HDW = _summed_over_paths(_matching_cost(ref, src, window=window), ref * 255)
+    cost_HDW = _matching_cost(ref, src, window=window)
+    if doubt is not None:
+        for level, candidate_px in enumerate(range(*window)):
+            cost_HDW[:, level] += doubt(candidate_px)
+    total_HDW = _summed_over_paths(cost_HDW, ref * 255)
+    del cost_HDW
     measured_px = _cheapest(total_HDW) + np.float32(window[0])
     src_disparity_px = _cheapest_of_src(total_HDW, window=window)
     del total_HDW

@@ -24,17 +24,18 @@ def test_stages_come_in_the_order_of_training(tmp_path: Path) -> None:
     save(train / "weights.safetensors", seed=0)  # the very weights of feature-10
     expected = ["rehearsal", "photometric", "feature-2", "feature-10"]
     found = all_matchers([tmp_path / "mine"], device="cpu")
-    assert [matcher.name for matcher in found] == ["sgm", *(f"mine/{stage}" for stage in expected)]
+    assert [matcher.name for matcher in found] == ["sgm", *(f"mine/{stage}" for stage in expected), "mine + sgm"]
     save(train / "weights.safetensors", seed=9)  # a training under way
-    assert all_matchers([tmp_path / "mine"], device="cpu")[-1].name == "mine/result"
+    assert [m.name for m in all_matchers([tmp_path / "mine"], device="cpu")[-2:]] == ["mine/result", "mine + sgm"]
 
 
 def test_a_weights_file_is_a_matcher_with_its_window(tmp_path: Path, rng: np.random.Generator) -> None:
     save(tmp_path / "kept.safetensors", seed=0)
-    matcher = all_matchers([tmp_path / "kept.safetensors"], device="cpu")[-1]
-    assert (matcher.name, matcher.window) == ("kept", (0, 32))
+    _, *found = all_matchers([tmp_path / "kept.safetensors"], device="cpu")
+    assert [(matcher.name, matcher.window) for matcher in found] == [("kept", (0, 32)), ("kept + sgm", (0, 32))]
     ref, src = rng.random((2, 64, 96, 3), dtype=np.float32)
-    assert matcher.match(ref, src, (0, 16)).disparity_px.shape == (64, 96)
+    for matcher in found:
+        assert matcher.match(ref, src, (0, 16)).disparity_px.shape == (64, 96)
 
 
 def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
@@ -42,7 +43,7 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
     for run in runs:
         save(run / "train" / "rehearsal.safetensors", seed=0)
     names = [matcher.name for matcher in all_matchers(runs, device="cpu")]
-    assert len(set(names)) == 3
+    assert len(set(names)) == 5
 
 
 def test_a_folder_without_weights_is_refused(tmp_path: Path) -> None:
