@@ -59,7 +59,11 @@ RigOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
 ]
 DistanceOption = Annotated[
-    str | None, typer.Option(metavar="X,Y,M", help="A point of the tele photo and its distance, metres.")
+    str | None,
+    typer.Option(
+        metavar="X,Y,M|exif",
+        help="A point of the tele photo and its distance, metres; exif: its middle, at the focus EXIF states.",
+    ),
 ]
 DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
@@ -333,8 +337,17 @@ def _depth_options(
         raise UsageError(f"--method {method}: expected {', '.join(METHODS)}")
     if weights is not None and not weights.is_file():
         raise UsageError(f"{weights} does not exist; a weights file was expected")
-    known = None if distance is None else parse_known_distance(distance)
-    return DepthOptions(method=method, weights=weights, bokeh=bokeh, out=out, device=device, rig=rig, known=known)
+    trusts_focus = distance == "exif"
+    return DepthOptions(
+        method=method,
+        weights=weights,
+        bokeh=bokeh,
+        out=out,
+        device=device,
+        rig=rig,
+        known=None if distance is None or trusts_focus else parse_known_distance(distance),
+        trusts_focus=trusts_focus,
+    )
 
 
 def _bokeh_options(*, focus: str, f_number: float | None, strength: float | None) -> BokehOptions:

@@ -11,6 +11,7 @@ together, and each comes to know the results of all.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -21,9 +22,10 @@ from typing import TYPE_CHECKING
 
 from telewide.align import locate_rig, shot_precision
 from telewide.calibration.rig_file import StoredRig
+from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
-from telewide.correction.pin import KnownDistance
+from telewide.correction.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.matcher import Matcher, choose_matcher
 from telewide.observer import Observer
@@ -52,6 +54,7 @@ class DepthOptions:
         device: auto, cpu or cuda.
         rig: rig file, or None for the one that lies by the captures.
         known: a point of known distance, or None.
+        trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
     """
 
     method: str = "joint"
@@ -61,6 +64,7 @@ class DepthOptions:
     device: str = "auto"
     rig: Path | None = None
     known: KnownDistance | None = None
+    trusts_focus: bool = False
 
 
 @dataclass(frozen=True)
@@ -214,7 +218,7 @@ def _check(call: _Call, options: DepthOptions) -> None:
             f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
             hint=f"name one: telewide depth {call.captures.root}/{call.captures.captures[0].name} --distance X,Y,M",
         )
-    if options.known is not None and rig is None:
+    if (options.known is not None or options.trusts_focus) and rig is None:
         raise UsageError(
             "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"
         )
@@ -312,7 +316,8 @@ def _depth_of(
     precision: DepthPrecision | None,
 ) -> DepthOutcome | DepthFailure:
     """Match one pair, bring the result to the photo's own size and edges, and write it."""
-    shot = _shot(item, precision, options)
+    known = _stated_focus(item, call.observer) if options.trusts_focus else options.known
+    shot = _shot(item, precision, known)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -331,10 +336,19 @@ def _precision(prepared: PreparedSet) -> DepthPrecision | None:
     return shot_precision(aligned, rig=prepared.rig) if aligned and prepared.rig is not None else None
 
 
-def _shot(item: PreparedPair, precision: DepthPrecision | None, options: DepthOptions) -> ShotGeometry | None:
+def _stated_focus(item: PreparedPair, observer: Observer) -> KnownDistance | None:
+    """Where EXIF says the tele lens was focused; None, and said, where it says nothing or infinity."""
+    facts = read_photo_facts(item.source.tele_path)
+    if facts.hw is None or facts.subject_distance_m is None or not math.isfinite(facts.subject_distance_m):
+        observer.said(f"{item.capture.name}: EXIF states no distance of the focus (SubjectDistance), so none is used")
+        return None
+    return focused_at(facts.subject_distance_m, hw=facts.hw)
+
+
+def _shot(item: PreparedPair, precision: DepthPrecision | None, known: KnownDistance | None) -> ShotGeometry | None:
     if item.alignment is None or precision is None:
         return None
-    return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, options.known)
+    return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, known)
 
 
 def _depth_key(
@@ -355,7 +369,7 @@ def _depth_key(
         "window": None if matcher.window else prepared.window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
         "precision": None if shot is None else asdict(shot.precision),
-        "known": None if options.known is None else asdict(options.known),
+        "known": None if shot is None or shot.known is None else asdict(shot.known),
     }
 
 

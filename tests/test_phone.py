@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, TiffImagePlugin
 
 from telewide import cli
 from telewide.align import alignment_as_json, alignment_from_json, locate_rig
@@ -93,6 +95,30 @@ def test_a_known_distance_takes_the_lens_shift_out(phone: Path, depths: list[dic
 
     assert error(after) < 0.02
     assert np.nanmedian(after["depth_std_m"]) < np.nanmedian(before["depth_std_m"])
+
+
+def test_the_focus_that_exif_states_pins_where_it_is_trusted(phone: Path, depths: list[dict[str, np.ndarray]]) -> None:
+    """A copy of the captures; one states its focus truly, the others nothing."""
+    before = depths[0]
+    copied = phone / "focused" / "captures"
+    shutil.copytree(phone / "captures", copied)
+    shutil.copy(phone / "rig.yaml", phone / "focused" / "rig.yaml")
+    middle = tuple(size // 2 for size in before["truth_m"].shape)
+    path = copied / "000" / "tele.jpg"
+    with Image.open(path) as photo:
+        exif = photo.getexif()
+        exif.get_ifd(0x8769)[37382] = TiffImagePlugin.IFDRational(float(before["truth_m"][middle]))
+        photo.save(copied / "stated.jpg", quality="keep", exif=exif)
+    (copied / "stated.jpg").replace(path)
+    words = ["--run", str(phone / "focused" / "run"), "--method", "sgm", "--distance", "exif"]
+    assert cli._exit_code(["depth", str(copied), *words]) == 0
+    shifts_px = []
+    for name, was in zip(("000", "001"), depths, strict=False):
+        with np.load(phone / "focused" / "run" / "depth" / name / "depth.npz") as depth:
+            shifts_px.append(float(np.nanmedian(np.abs(depth["disparity"] - was["disparity"]))))
+            assert np.nanmedian(depth["depth_std_m"]) <= np.nanmedian(was["depth_std_m"]) * 1.001
+    assert shifts_px[0] > 0.01
+    assert shifts_px[1] < 1e-3
 
 
 def test_an_alignment_survives_its_file(phone: Path, stored: StoredRig) -> None:

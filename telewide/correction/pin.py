@@ -16,6 +16,8 @@ from telewide.geometry.stereo import FloatMap
 
 DISTANCE_STD_SHARE = 0.01
 """How well a distance is measured, unless said otherwise."""
+FOCUS_STD_SHARE = 0.1
+"""How well EXIF knows where a lens was focused: autofocus stops where the picture is sharp enough."""
 _WINDOW_SHARE = 0.004
 _LEAST_SPREAD_PX = 0.1
 
@@ -28,11 +30,13 @@ class KnownDistance:
         x_px: column in the photo, upright.
         y_px: row.
         distance_m: from the phone to the point.
+        std_share: standard deviation of the distance over the distance.
     """
 
     x_px: float
     y_px: float
     distance_m: float
+    std_share: float = DISTANCE_STD_SHARE
 
 
 @dataclass(frozen=True)
@@ -71,27 +75,21 @@ def parse_known_distance(text: str) -> KnownDistance:
     return KnownDistance(x_px, y_px, distance_m)
 
 
-def focus_distance(distance_m: float, *, geometry: RectifiedGeometry) -> KnownDistance:
+def focused_at(distance_m: float, *, hw: tuple[int, int]) -> KnownDistance:
     """Take the distance a lens was focused at for that of the photo's middle.
 
     Args:
         distance_m: as EXIF states it; to be trusted only where the middle was focused on.
-        geometry: of the pair.
+        hw: size of the tele photo, px, upright.
 
     Returns:
         The point at the middle of the tele photo.
     """
-    height, width = geometry.rig.tele.hw
-    return KnownDistance((width - 1) / 2, (height - 1) / 2, distance_m)
+    height, width = hw
+    return KnownDistance((width - 1) / 2, (height - 1) / 2, distance_m, FOCUS_STD_SHARE)
 
 
-def pin_distance(
-    disparity_px: FloatMap,
-    known: KnownDistance,
-    *,
-    geometry: RectifiedGeometry,
-    std_share: float = DISTANCE_STD_SHARE,
-) -> DistancePin:
+def pin_distance(disparity_px: FloatMap, known: KnownDistance, *, geometry: RectifiedGeometry) -> DistancePin:
     """Find the zero of disparity that gives a point its distance.
 
     ``doffs = f B / z - d`` with ``z = M / |r|``, r the point's ray with z = 1.
@@ -100,7 +98,6 @@ def pin_distance(
         disparity_px: (H, W) of the rectified ref, NaN where unknown.
         known: the point.
         geometry: of the pair; of a rig whose scale is known.
-        std_share: standard deviation of the distance over the distance.
 
     Returns:
         The pin; depth is right with ``dataclasses.replace(geometry, doffs_px=pin.doffs_px)``.
@@ -114,9 +111,28 @@ def pin_distance(
         )
     d_px, spread_px, length = _disparity_at(disparity_px, known, geometry)
     wanted_px = geometry.f_px * geometry.rig.baseline_m * length / known.distance_m
-    std_px = float(np.hypot(spread_px, wanted_px * std_share))
+    std_px = float(np.hypot(spread_px, wanted_px * known.std_share))
     doffs_px = wanted_px - d_px
     return DistancePin(doffs_px, doffs_px - geometry.doffs_px, std_px)
+
+
+def weigh_pin(pin: DistancePin, *, geometry: RectifiedGeometry, lens_shift_std_px: float) -> DistancePin:
+    """Put a known distance and the rig together, each by how sure it is (inverse variances).
+
+    A tape is sure enough to decide alone; what EXIF says of the focus may be less sure than the rig is.
+
+    Args:
+        pin: what the distance alone says.
+        geometry: of the pair, as the rig has it.
+        lens_shift_std_px: how far the rig's zero of disparity may be off at this shot, px of the rectified views.
+
+    Returns:
+        The pin of both.
+    """
+    rig_px2, pin_px2 = lens_shift_std_px**2, pin.std_px**2
+    correction_px = pin.correction_px * rig_px2 / (rig_px2 + pin_px2)
+    std_px = float(np.sqrt(rig_px2 * pin_px2 / (rig_px2 + pin_px2)))
+    return DistancePin(geometry.doffs_px + correction_px, correction_px, std_px)
 
 
 def pin_scale(disparity_px: FloatMap, known: KnownDistance, *, geometry: RectifiedGeometry) -> float:

@@ -17,7 +17,7 @@ from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, rea
 from telewide.capture.rundir import fingerprint
 from telewide.correction.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.correction.moving import MovedRegion, moving_mask
-from telewide.correction.pin import KnownDistance, pin_distance, pin_scale
+from telewide.correction.pin import KnownDistance, pin_distance, pin_scale, weigh_pin
 from telewide.correction.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError
 from telewide.geometry.rectification import RectifiedGeometry
@@ -171,7 +171,8 @@ def _result_of_shot(name: str, working: DisparityMap, photo: FloatMap, *, shot: 
     """Bring a map of the rectified view to the tele photo as it was taken, and into metres."""
     geometry, precision = shot.geometry, shot.precision
     if shot.known is not None and geometry.rig.is_scale_known:
-        pin = pin_distance(working.disparity_px, shot.known, geometry=geometry)
+        alone = pin_distance(working.disparity_px, shot.known, geometry=geometry)
+        pin = weigh_pin(alone, geometry=geometry, lens_shift_std_px=precision.lens_shift_std_px * geometry.scale)
         geometry = replace(geometry, doffs_px=pin.doffs_px)
         precision = replace(precision, lens_shift_std_px=pin.std_px / geometry.scale)
     elif shot.known is not None:

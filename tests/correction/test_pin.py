@@ -7,7 +7,15 @@ import pytest
 from rig_worlds import phone_rig
 
 from telewide.correction.epipolar import across_in_wide
-from telewide.correction.pin import KnownDistance, focus_distance, parse_known_distance, pin_distance, pin_scale
+from telewide.correction.pin import (
+    DistancePin,
+    KnownDistance,
+    focused_at,
+    parse_known_distance,
+    pin_distance,
+    pin_scale,
+    weigh_pin,
+)
 from telewide.errors import InputError, UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry
 from telewide.geometry.rig import StereoRig
@@ -47,7 +55,24 @@ def test_a_known_distance_brings_back_the_scale() -> None:
 
 def test_the_middle_of_the_photo_is_in_focus() -> None:
     geometry, _ = geometry_and_disparity(phone_rig(), known=KnownDistance(800.0, 600.0, 1.0))
-    assert focus_distance(0.7, geometry=geometry) == KnownDistance(799.5, 599.5, 0.7)
+    assert focused_at(0.7, hw=geometry.rig.tele.hw) == KnownDistance(799.5, 599.5, 0.7, 0.1)
+
+
+@pytest.mark.parametrize(("shift_std_px", "decides"), [(1e3, "pin"), (1e-3, "rig")])
+def test_the_surer_one_decides(shift_std_px: float, decides: str) -> None:
+    geometry, _ = geometry_and_disparity(phone_rig(), known=KnownDistance(800.0, 600.0, 1.0))
+    pin = DistancePin(geometry.doffs_px + 5.0, 5.0, 0.5)
+    both = weigh_pin(pin, geometry=geometry, lens_shift_std_px=shift_std_px)
+    assert both.correction_px == pytest.approx(5.0 if decides == "pin" else 0.0, abs=1e-3)
+    assert both.std_px <= min(pin.std_px, shift_std_px)
+    assert both.doffs_px == pytest.approx(geometry.doffs_px + both.correction_px)
+
+
+def test_equally_sure_ones_meet_in_the_middle() -> None:
+    geometry, _ = geometry_and_disparity(phone_rig(), known=KnownDistance(800.0, 600.0, 1.0))
+    both = weigh_pin(DistancePin(geometry.doffs_px + 4.0, 4.0, 2.0), geometry=geometry, lens_shift_std_px=2.0)
+    assert both.correction_px == pytest.approx(2.0)
+    assert both.std_px == pytest.approx(np.sqrt(2.0))
 
 
 def test_what_cannot_be_pinned_is_refused() -> None:
