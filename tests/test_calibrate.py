@@ -96,7 +96,7 @@ def test_the_page_shows_every_shot_and_a_rectified_pair(done: CalibrationRun) ->
     text = done.report.read_text(encoding="utf-8")
     assert done.report == done.rig.with_name("rig_report.html")
     assert all(text.count(f">shot_{number:02d}<") >= 2 for number in range(N_SHOTS))
-    for heading in ("Coverage", "Residuals", "Odd against even photos", "Held-out epipolar error", "A rectified pair"):
+    for heading in ("Coverage", "Residuals", "Repeatability", "Held-out epipolar error", "A rectified pair"):
         assert f"<h2>{heading}" in text
     assert not re.search(r"https?:|<script|<link", text)
 

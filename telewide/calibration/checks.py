@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.quality import CalibrationQuality, Check, Status, verdict_of
+from telewide.calibration.quality import SHARE, CalibrationQuality, Check, at_least, at_most, verdict_of
 from telewide.calibration.result import CameraStd, Lens, TransformStd, ViewResult
 from telewide.calibration.validation import GRID_HW, difference_px, tele_grid_px
 from telewide.geometry.rig import StereoRig
@@ -29,7 +29,7 @@ DISTANCE_RATIO = (1.3, 1.0)
 LEFT_OUT = (0.2, 0.5)
 F_STD = (0.002, 0.02)
 BASELINE_STD = (0.01, 0.1)
-EXCESS = (6.0, 100.0)
+EXCESS = (6.0**0.5, 10.0)
 EPIPOLAR_WIDE_PX = (0.75, 2.5)
 """Held-out error p90, in wide pixels, by which a corner can be placed in the wide photo."""
 ODD_EVEN_WIDE_PX = (1.5, 6.0)
@@ -120,7 +120,7 @@ def _view_checks(evidence: Evidence) -> Iterator[Check]:
         f"{n} shots show the board well with both lenses at once. Take {max(JOINT_VIEWS[0] - n, 1)} more, the board "
         "filling the tele photo, tilted to all sides, at three distances."
     )
-    yield _at_least("joint views", n, JOINT_VIEWS, advice)
+    yield at_least("shots with the board in both photos", n, JOINT_VIEWS, advice=advice, unit="shots")
     yield from _lens_checks(evidence, "tele")
     yield from _lens_checks(evidence, "wide")
     sizes_px = [wide.square_px for _, wide in joint]
@@ -129,48 +129,48 @@ def _view_checks(evidence: Evidence) -> Iterator[Check]:
         f"A square spans {typical_px:.0f} px in the wide photos. Photograph a board with squares "
         f"{1.1 * WIDE_SQUARE_PX[0] / max(typical_px, 1):.1f} times as large, or from nearer."
     )
-    yield _at_least("square size in wide", typical_px, WIDE_SQUARE_PX, advice)
+    yield at_least("size of a square in the wide photos", typical_px, WIDE_SQUARE_PX, advice=advice, unit="px")
     distances_m = [tele.distance_m for tele, _ in joint]
     ratio = max(distances_m) / min(distances_m) if joint else float("nan")
     usual_m = float(np.median(distances_m)) if joint else float("nan")
     advice = f"All joint views are at about {usual_m:.2g} m. Take some nearer, and some at half again that distance."
-    yield _at_least("distances", ratio, DISTANCE_RATIO, advice)
+    yield at_least("farthest board over nearest", ratio, DISTANCE_RATIO, advice=advice, unit="times")
     left_out = [view for view in evidence.views if not view.is_used]
     advice = (
         f"{len(left_out)} of {len(evidence.views)} views disagree with the others and were left out: "
         f"{_few(sorted({view.shot for view in left_out}))}. Take them anew, board and phone at rest."
     )
-    yield _at_most("views left out", len(left_out) / max(len(evidence.views), 1), LEFT_OUT, advice)
+    yield _at_most("photos left out", len(left_out) / max(len(evidence.views), 1), LEFT_OUT, advice=advice, unit=SHARE)
 
 
 def _lens_checks(evidence: Evidence, lens: Lens) -> Iterator[Check]:
     views = evidence.used(lens)
     camera, std = (evidence.rig.tele, evidence.stds[0]) if lens == "tele" else (evidence.rig.wide, evidence.stds[1])
     advice = f"{len(views)} {lens} photos took part. Take more, the board filling the {lens} photo."
-    yield _at_least(f"{lens} views", len(views), LENS_VIEWS, advice)
+    yield at_least(f"{lens} photos used", len(views), LENS_VIEWS, advice=advice, unit="photos")
     tilted = sum(view.tilt_deg >= TILTED_DEG for view in views)
     advice = (
         f"{tilted} {lens} photos show the board tilted by {TILTED_DEG:.0f} degrees or more. Take {TILTED_VIEWS[0]} "
         "more, it turned by 30 to 45 degrees left, right, up and down: head-on views do not tell the focal length."
     )
-    yield _at_least(f"{lens} tilt", tilted, TILTED_VIEWS, advice)
+    yield at_least(f"{lens} photos of a tilted board", tilted, TILTED_VIEWS, advice=advice, unit="photos")
     share, where = _coverage(views, _region_px(evidence.rig, lens))
     part = "of the tele photo" if lens == "tele" else "of what tele sees in the wide photo"
     advice = f"Corners cover {share:.0%} {part}. Photograph the board {where}."
-    yield _at_least(f"{lens} coverage", share, COVERAGE, advice)
+    yield at_least(f"{lens} coverage", share, COVERAGE, advice=advice, unit=SHARE)
     relative = std.f_px / camera.f_px
     advice = (
         f"The {lens} focal length is known to {relative:.2%} only. Take close-ups with the {lens} lens, the board "
         "filling the frame, turned by 30 to 45 degrees to all sides."
     )
-    yield _at_most(f"{lens} focal length", relative, F_STD, advice)
+    yield _at_most(f"{lens} focal length, standard deviation", relative, F_STD, advice=advice, unit=SHARE)
     limit_px = RMS_PX + RMS_SHARE * max(camera.hw)
     error_px = rms_px(views)
     advice = (
         f"Corners are off by {error_px:.2f} px RMS in the {lens} photos. Keep board and phone at rest, the board flat, "
         "the focus locked; photograph in good light."
     )
-    yield _at_most(f"{lens} reprojection", error_px, (limit_px, 3 * limit_px), advice)
+    yield _at_most(f"{lens} reprojection error, RMS", error_px, (limit_px, 3 * limit_px), advice=advice, unit="px")
 
 
 def _figure_checks(evidence: Evidence, *, p90_px: float, cross_px: float) -> Iterator[Check]:
@@ -181,36 +181,31 @@ def _figure_checks(evidence: Evidence, *, p90_px: float, cross_px: float) -> Ite
         f"A tenth of the corners held out lie more than {p90_px:.2f} tele px off their line. Take more joint views, "
         "both photos at the same moment, nothing moving."
     )
-    yield _at_most("held-out epipolar error", p90_px, limits_px, advice)
+    yield _at_most("held-out epipolar error of 90 %", p90_px, limits_px, advice=advice, unit="tele px")
     advice = (
         f"Rigs from every second view differ by {cross_px:.2f} tele px. Take twice as many views, tilted to all sides "
         "and spread over the frame."
     )
     limits_px = (ODD_EVEN_WIDE_PX[0] * tele_px, ODD_EVEN_WIDE_PX[1] * tele_px)
-    yield _at_most("odd/even difference", cross_px, limits_px, advice)
+    yield _at_most("difference of rigs from half the photos", cross_px, limits_px, advice=advice, unit="tele px")
     relative = evidence.transform_std.baseline_m / max(evidence.rig.baseline_m, 1e-300)
     advice = (
         f"The distance of the lenses, and with it every depth, is known to {relative:.1%} only. Take more joint views, "
         "nearer and tilted."
     )
-    yield _at_most("baseline", relative, BASELINE_STD, advice)
+    yield _at_most("distance of the lenses, standard deviation", relative, BASELINE_STD, advice=advice, unit=SHARE)
+    excess = float(np.sqrt(evidence.excess))
     advice = (
-        f"Views contradict each other {np.sqrt(evidence.excess):.1f} times more than noise of the corners allows; "
+        f"Views contradict each other {excess:.1f} times more than noise of the corners allows; "
         "the stated deviations count that in. Use a rigid flat board, lock the focus, hold still."
     )
-    yield _at_most("independent errors", evidence.excess, EXCESS, advice)
+    yield _at_most("contradiction of the photos over corner noise", excess, EXCESS, advice=advice, unit="times")
 
 
-def _at_least(name: str, value: float, limits: tuple[float, float], advice: str) -> Check:
-    status: Status = "pass" if value >= limits[0] else "fail" if value < limits[1] else "warn"
-    return Check(name, status, float(value), float(limits[0]), "" if status == "pass" else advice)
-
-
-def _at_most(name: str, value: float, limits: tuple[float, float], advice: str) -> Check:
-    status: Status = "pass" if value <= limits[0] else "fail" if value > limits[1] else "warn"
+def _at_most(name: str, value: float, limits: tuple[float, float], *, advice: str, unit: str) -> Check:
     if np.isnan(value):
         advice = "There are too few joint views to hold some out. Take 12 or more with both lenses."
-    return Check(name, status, float(value), float(limits[0]), "" if status == "pass" else advice)
+    return at_most(name, value, limits, advice=advice, unit=unit)
 
 
 def _few(names: Sequence[str]) -> str:

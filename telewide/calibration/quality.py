@@ -6,12 +6,16 @@ and the rig say it lies; held-out ones come from rigs that were solved without t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 Status = Literal["pass", "warn", "fail"]
 Verdict = Literal["good", "usable", "insufficient"]
+Bound = Literal["at least", "at most", ""]
+SHARE = "share"
+"""The unit of a value that is a share of something, and told in per cent."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,8 @@ class Check:
         value: what was found; NaN where it could not be found out.
         limit: what would have passed.
         advice: what was found and what to photograph next, one or two sentences for people; "" on a pass.
+        unit: of value and limit: "tele px", "photos", "share" for what is told in per cent; "" where there is none.
+        bound: on which side of the limit a value passes; "" where the file it was read from does not say.
     """
 
     name: str
@@ -31,6 +37,18 @@ class Check:
     value: float
     limit: float
     advice: str
+    unit: str = ""
+    bound: Bound = ""
+
+    @property
+    def found_words(self) -> str:
+        """What was found, with its unit: "0.12 tele px"."""
+        return _with_unit(self.value, self.unit) if math.isfinite(self.value) else "unknown"
+
+    @property
+    def limit_words(self) -> str:
+        """What passes, with its unit: "at most 0.3 tele px"."""
+        return f"{self.bound or 'limit'} {_with_unit(self.limit, self.unit)}" if math.isfinite(self.limit) else ""
 
 
 @dataclass(frozen=True)
@@ -64,3 +82,45 @@ def verdict_of(checks: Sequence[Check]) -> Verdict:
     if any(check.status == "fail" for check in checks):
         return "insufficient"
     return "good" if all(check.status == "pass" for check in checks) else "usable"
+
+
+def at_least(name: str, value: float, limits: tuple[float, float], *, advice: str, unit: str = "") -> Check:
+    """Ask whether a value is large enough.
+
+    Args:
+        name: of the question.
+        value: what was found.
+        limits: from the first on it passes, below the second it fails.
+        advice: what to do where it does not pass.
+        unit: of value and limits.
+    """
+    status: Status = "pass" if value >= limits[0] else "fail" if value < limits[1] else "warn"
+    return Check(
+        name, status, float(value), float(limits[0]), "" if status == "pass" else advice, unit=unit, bound="at least"
+    )
+
+
+def at_most(name: str, value: float, limits: tuple[float, float], *, advice: str, unit: str = "") -> Check:
+    """Ask whether a value is small enough.
+
+    Args:
+        name: of the question.
+        value: what was found.
+        limits: up to the first it passes, above the second it fails.
+        advice: what to do where it does not pass.
+        unit: of value and limits.
+    """
+    status: Status = "pass" if value <= limits[0] else "fail" if value > limits[1] else "warn"
+    return Check(
+        name, status, float(value), float(limits[0]), "" if status == "pass" else advice, unit=unit, bound="at most"
+    )
+
+
+def _with_unit(value: float, unit: str) -> str:
+    if unit == SHARE:
+        return f"{_figure(100 * value)} %"
+    return f"{_figure(value)} {unit}".rstrip()
+
+
+def _figure(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"

@@ -24,6 +24,10 @@ from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.options import parse_options
 
 RIG_FILE = "rig.yaml"
+_ANOTHER_RIG = (
+    "make it anew: telewide calibrate BOARDS, from photos of a board, or telewide calibrate CAPTURES --from-scenes; "
+    "captures that are rectified need none: remove the file"
+)
 _HEADER = """\
 # Two lenses and how they stand to each other. Lengths in metres; pixel (0, 0) is the centre of the top-left pixel.
 # wide = rotation @ tele + translation_m; x right, y down, z forward. Distortion: k1 k2 p1 p2 k3 k4 k5 k6 (OpenCV).
@@ -148,9 +152,16 @@ def read_rig(path: Path) -> StoredRig:
         data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise UsageError(f"there is no rig file {path}", hint="telewide calibrate makes one from photos") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path} cannot be read as YAML: {error}") from error
-    if isinstance(data, dict) and data.get("format", 1) != 1:
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}", hint=_ANOTHER_RIG) from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        mark = getattr(error, "problem_mark", None)  # where YAML's own parser gave up
+        place = "" if mark is None else f", line {mark.line + 1}"
+        raise InputError(f"{path}{place}: this is no YAML; a rig file was expected", hint=_ANOTHER_RIG) from error
+    if not isinstance(data, dict):
+        found = "is empty" if data is None else "holds no keys and values"
+        raise InputError(f"{path} {found}; a rig was expected", hint=_ANOTHER_RIG)
+    if data.get("format", 1) != 1:
         raise InputError(
             f"{path}: format is {data['format']!r}, this version reads format 1",
             hint="make the rig again with telewide calibrate, or update telewide",
@@ -255,7 +266,8 @@ def _transform_std_of(sheet: RigStdSheet) -> TransformStd:
 def _quality_of(sheet: QualitySheet) -> CalibrationQuality:
     figures = {name: _number(getattr(sheet, name)) for name in type(sheet).model_fields if name.endswith("_px")}
     checks = tuple(
-        Check(each.name, each.status, _number(each.value), _number(each.limit), each.advice) for each in sheet.checks
+        Check(**{**each.model_dump(), "value": _number(each.value), "limit": _number(each.limit)})
+        for each in sheet.checks
     )
     return CalibrationQuality(**figures, checks=checks, verdict=sheet.verdict)
 

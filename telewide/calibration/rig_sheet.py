@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from telewide.calibration.quality import Status, Verdict
+from telewide.calibration.quality import Bound, Status, Verdict
 from telewide.options import Options
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -86,6 +86,8 @@ class CheckSheet(Options):
     value: Number | None
     limit: Number | None
     advice: str = ""
+    unit: str = ""
+    bound: Bound = ""
 
 
 class QualitySheet(Options):

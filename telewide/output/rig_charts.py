@@ -81,9 +81,9 @@ def cross_validation_figures(calibration: Calibration) -> str:
     figures = []
     for name, difference_px, hw, unit in maps:
         caption = (
-            f"{name}: solved from the odd photos and from the even ones, {_rms(difference_px):.2f} {unit} apart "
-            f"(RMS), {difference_px.max():.2f} at most. Good: little more than the noise of the corners, where boards "
-            "were held."
+            f"{name}: rigs solved from every second photo and from the others, {_rms(difference_px):.2f} {unit} "
+            f"apart (RMS), {difference_px.max():.2f} at most. Good: little more than the noise of the corners, "
+            "where boards were held."
         )
         high = max(float(difference_px.max()), 0.1)
         values = difference_px.astype(np.float32)
@@ -128,7 +128,7 @@ def depth_figure(calibration: Calibration) -> str:
         x=Axis("distance, m", 0.25, 10.0, is_log=True),
         y=axis_over([0.0, highest], label="error of depth, % of the distance"),
         caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity. That of "
-        "the calibration is from the held-out epipolar error or the odd against even photos, whichever is larger.",
+        "the calibration is from the held-out epipolar error or the two halves of the photos, whichever is larger.",
     )
     head = "".join(f"<th>{html.escape(name)}</th>" for name, _ in stds)
     rows = "".join(

@@ -38,6 +38,7 @@ from telewide.output.rig_charts import (
     residual_figures,
     view_figures,
 )
+from telewide.output.rig_text import distortion_words
 
 FloatArray = NDArray[np.float64]
 
@@ -46,12 +47,12 @@ _VIEW_WIDTH_PX = 720
 _CHECKS_OF = {
     "The rig": ("focal length",),
     "Coverage": ("coverage",),
-    "Residuals": ("reprojection", "independent"),
-    "Photos": ("views",),
-    "Odd against even photos": ("odd/even",),
+    "Residuals": ("reprojection", "contradiction"),
+    "Photos": ("photos used", "both photos", "left out"),
+    "Repeatability": ("half the photos",),
     "Held-out epipolar error": ("epipolar",),
-    "Depth error": ("baseline",),
-    "How the board was held": ("tilt", "distances", "square"),
+    "Depth error": ("distance of the lenses",),
+    "How the board was held": ("tilted", "farthest", "size of a square"),
 }
 """Sections of the page, and words in the names of the checks that judge what they show."""
 _VERDICTS = {
@@ -112,9 +113,7 @@ def rig_report_html(
         section_html(_marked("Residuals", quality), residual_figures(calibration), css_class="charts"),
         section_html(_marked("Photos", quality), view_figures(calibration), css_class="charts"),
         section_html("Left out", _left_out_html(calibration.views)),
-        section_html(
-            _marked("Odd against even photos", quality), cross_validation_figures(calibration), css_class="charts"
-        ),
+        section_html(_marked("Repeatability", quality), cross_validation_figures(calibration), css_class="charts"),
         section_html(_marked("Held-out epipolar error", quality), epipolar_figure(quality), css_class="charts"),
         section_html(_marked("Depth error", quality), depth_figure(calibration)),
         section_html("A rectified pair", _rectified_html(rectified)),
@@ -168,11 +167,14 @@ def _summary(calibration: Calibration) -> str:
 def _checks_html(checks: Sequence[Check]) -> str:
     rows = "".join(
         f'<tr><td><span class="mark {check.status}">{check.status}</span></td>'
-        f'<td class="words">{html.escape(check.name)}</td><td>{_figure(check.value)}</td>'
-        f'<td>{_figure(check.limit)}</td><td class="words">{html.escape(check.advice)}</td></tr>\n'
+        f'<td class="words">{html.escape(check.name)}</td>'
+        f"<td>{html.escape(check.found_words)}</td><td>{html.escape(check.limit_words)}</td>"
+        f'<td class="words">{html.escape(check.advice)}</td></tr>\n'
         for check in checks
     )
-    head = '<tr><th></th><th class="words">check</th><th>found</th><th>limit</th><th class="words"></th></tr>'
+    head = (
+        '<tr><th>result</th><th class="words">check</th><th>found</th><th>limit</th><th class="words">advice</th></tr>'
+    )
     return f'<div class="scroll"><table><thead>{head}</thead>\n<tbody>{rows}</tbody></table></div>' if rows else ""
 
 
@@ -206,11 +208,8 @@ def _camera_cells(camera: Camera, std: CameraStd) -> dict[str, str]:
         "principal point x": _with_std(float(camera.K[0, 2]), std.cx_px, "px"),
         "principal point y": _with_std(float(camera.K[1, 2]), std.cy_px, "px"),
     }
-    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    for name, value, sigma in zip(names, camera.distortion, std.distortion, strict=False):
-        if value or sigma:
-            cells[name] = f"{value:+.4f} &plusmn; {sigma:.4f}"
-    return cells
+    words = {name: html.escape(text) for name, text in distortion_words(camera, std).items()}
+    return cells | (words if camera.distortion.any() else {})
 
 
 def _transform_words(calibration: Calibration) -> str:

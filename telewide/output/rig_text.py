@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.result import CameraStd
 from telewide.calibration.rig_file import StoredRig
 from telewide.geometry.rig import Camera, StereoRig
@@ -32,9 +32,7 @@ def rig_lines(stored: StoredRig) -> tuple[str, ...]:
         *_origin(stored),
     ]
     width = max(len(name) for name, _ in rows) + 2
-    checks = [
-        f"{check.status}  {check.name}: {check.advice}" for check in stored.quality.checks if check.status != "pass"
-    ]
+    checks = [line for check in stored.quality.checks for line in _check_lines(check)]
     out = [f"left out  {line}" for line in stored.left_out]
     notes = [f"note  {line}" for line in stored.facts.notes]
     lines = [f"{name:<{width}}{text}" for name, text in rows]
@@ -62,6 +60,49 @@ def summary_line(rig: StereoRig, quality: CalibrationQuality, *, baseline_std_m:
     return f"{quality.verdict}: {', '.join(words)}"
 
 
+def distortion_words(camera: Camera, std: CameraStd | None) -> dict[str, str]:
+    """Say what is known of each of a lens's distortion coefficients.
+
+    Args:
+        camera: the lens.
+        std: how sure it is; None where that is unknown.
+
+    Returns:
+        By name of the coefficient: its value and deviation, or what it was held at. One that is exactly 0 was held.
+    """
+    values = camera.distortion
+    sigmas = np.full(len(values), np.nan) if std is None else std.distortion
+    return {
+        name: _coefficient(float(value), float(sigma))
+        for name, value, sigma in zip(_COEFFICIENTS, values, sigmas, strict=False)
+    }
+
+
+def _coefficient(value: float, sigma: float) -> str:
+    if value == 0:
+        return "fixed at 0"
+    if sigma == 0:
+        return f"fixed at {value:+.4g}"
+    if not math.isfinite(sigma):
+        return f"{value:+.4f}"
+    decimals = max(4, 1 - math.floor(math.log10(sigma)))  # two figures of the deviation, however small
+    return f"{value:+.{decimals}f} ± {sigma:.{decimals}f}"
+
+
+def _check_lines(check: Check) -> Iterator[str]:
+    """A check on a line of its own, and below it what to do."""
+    limit = f", {check.limit_words}" if check.limit_words else ""
+    yield f"{check.status}  {check.name}: {check.found_words}{limit}"
+    if check.advice:
+        yield f"      {check.advice}"
+
+
+def _repeatability(cross_px: float) -> str:
+    if not math.isfinite(cross_px):
+        return "unknown: too few photos to calibrate with half of them"
+    return f"rigs from one half of the photos and from the other are {cross_px:.2f} tele px apart"
+
+
 def _cameras(stored: StoredRig) -> list[tuple[str, str]]:
     rows: list[tuple[str, str]] = []
     both: Sequence[tuple[str, Camera, CameraStd | None]] = (
@@ -72,11 +113,11 @@ def _cameras(stored: StoredRig) -> list[tuple[str, str]]:
         focal = _plus_minus(camera.f_px, None if std is None else std.f_px, "px", decimals=1)
         cx = _plus_minus(float(camera.K[0, 2]), None if std is None else std.cx_px, "px", decimals=1)
         cy = _plus_minus(float(camera.K[1, 2]), None if std is None else std.cy_px, "px", decimals=1)
-        # A coefficient that is exactly 0 is not part of the lens model.
-        terms = [f"{k} {value:+.4f}" for k, value in zip(_COEFFICIENTS, camera.distortion, strict=False) if value]
+        terms = ", ".join(f"{k} {text}" for k, text in distortion_words(camera, std).items())
         rows += [
             (name, f"photos of {camera.hw[1]} x {camera.hw[0]} px, focal length {focal}"),
-            ("", f"principal point {cx}, {cy}; distortion {' '.join(terms) or 'none'}"),
+            ("", f"principal point {cx}, {cy}"),
+            ("", f"distortion {terms if camera.distortion.any() else 'none'}"),
         ]
     return rows
 
@@ -104,7 +145,7 @@ def _quality(stored: StoredRig) -> list[tuple[str, str]]:
             f"{_px(quality.epipolar_p50_px)} median, {_px(quality.epipolar_p90_px)} 90 %, "
             f"{_px(quality.epipolar_p99_px)} 99 %, tele px, in photos held out",
         ),
-        ("odd against even", f"{_px(quality.cross_validation_px)} apart, tele px"),
+        ("repeatability", _repeatability(quality.cross_validation_px)),
         ("joint views", str(stored.n_joint_views)),
     ]
 

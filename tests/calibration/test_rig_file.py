@@ -21,7 +21,7 @@ QUALITY = CalibrationQuality(
     epipolar_p99_px=1.7,
     cross_validation_px=float("nan"),
     checks=(
-        Check("joint views", "warn", 9.0, 12.0, "Take 3 more."),
+        Check("joint views", "warn", 9.0, 12.0, "Take 3 more.", unit="shots", bound="at least"),
         Check("odd/even difference", "warn", float("nan"), 4.5, ""),
     ),
     verdict="usable",
@@ -106,11 +106,40 @@ def test_a_bad_value_is_refused_by_its_key(
     assert "rig.yaml" in caught.value.message
 
 
-@pytest.mark.parametrize("text", ["", "- 1\n- 2\n", "tele: [", "just words", "\x00\x01"])
-def test_what_is_no_rig_file_is_refused(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty"),
+        ("# only a remark\n", "is empty"),
+        ("- 1\n- 2\n", "no keys and values"),
+        ("just words", "no keys and values"),
+        ("format: 1\ntele: [", "line 2: this is no YAML"),
+        ("\x00\x01", "this is no YAML"),
+    ],
+)
+def test_what_is_no_rig_file_is_refused_with_a_way_to_get_one(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(text)
-    with pytest.raises(InputError, match=r"rig\.yaml"):
+    with pytest.raises(InputError, match=r"rig\.yaml") as caught:
         read_rig(tmp_path / "rig.yaml")
+    assert said in caught.value.message
+    assert "\n" not in caught.value.message
+    assert "telewide calibrate" in (caught.value.hint or "")
+    assert "--from-scenes" in (caught.value.hint or "")
+
+
+def test_a_folder_in_the_place_of_a_rig_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_rig(tmp_path)
+
+
+def test_checks_of_an_older_file_are_read_without_their_unit(tmp_path: Path, rng: np.random.Generator) -> None:
+    write_stored_rig(tmp_path / "rig.yaml", stored(rng))
+    data = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    for check in data["quality"]["checks"]:
+        del check["unit"], check["bound"]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(data))
+    first = read_rig(tmp_path / "rig.yaml").quality.checks[0]
+    assert (first.found_words, first.limit_words) == ("9", "limit 12")
 
 
 def test_a_file_that_is_not_there_is_the_users_slip(tmp_path: Path) -> None:

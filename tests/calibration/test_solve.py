@@ -175,8 +175,8 @@ def test_ruined_shots_are_named_and_do_no_harm(world: World) -> None:
     assert all(view.reason for view in found.views if not view.is_used)
     assert all(view.rms_px > 1 for view in found.views if "fit a board" in view.reason)
     assert np.abs(normalised_errors(found, world.rig)).max() < 4.5
-    assert check(found, "views left out").status == "warn"
-    assert "joint00" in check(found, "views left out").advice
+    assert check(found, "photos left out").status == "warn"
+    assert "joint00" in check(found, "photos left out").advice
 
 
 def test_shots_paired_in_the_wrong_order_are_refused(world: World, shots: tuple[DetectedShot, ...]) -> None:
@@ -198,15 +198,24 @@ def test_a_board_never_tilted_is_not_enough(world: World) -> None:
     flat = replace(world, tilt_deg=2.0)
     found = calibrated(flat, flat.shots(np.random.default_rng(7), joint=12, tele_close=3, wide_close=3))
     assert found.quality.verdict == "insufficient"
-    assert check(found, "tele tilt").status == "fail"
-    assert "tilt" in check(found, "tele tilt").advice or "turned" in check(found, "tele tilt").advice
+    assert check(found, "tele photos of a tilted board").status == "fail"
+    assert (
+        "tilt" in check(found, "tele photos of a tilted board").advice
+        or "turned" in check(found, "tele photos of a tilted board").advice
+    )
 
 
 def test_few_small_and_crowded_views_are_told(world: World) -> None:
     rng = np.random.default_rng(8)
     far = replace(world, board_m=world.board_m / 10)  # squares of 4 mm
     found = calibrated(far, far.shots(rng, joint=6, tele_close=0, wide_close=0))
-    for name in ("joint views", "tele views", "wide views", "square size in wide", "tele coverage"):
+    for name in (
+        "shots with the board in both photos",
+        "tele photos used",
+        "wide photos used",
+        "size of a square in the wide photos",
+        "tele coverage",
+    ):
         assert check(found, name).status != "pass", name
         assert check(found, name).advice
     assert found.quality.verdict != "good"

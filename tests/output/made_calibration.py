@@ -12,8 +12,16 @@ from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 RESIDUAL_PX = {"tele": 0.2, "wide": 0.1}
 CHECKS = (
-    Check("joint views", "pass", 12, 8, ""),
-    Check("coverage of <wide>", "warn", 0.41, 0.6, "The wide photos leave the corners empty & dark: go there."),
+    Check("joint views", "pass", 12, 8, "", unit="shots", bound="at least"),
+    Check(
+        "coverage of <wide>",
+        "warn",
+        0.41,
+        0.6,
+        "The wide photos leave the corners empty & dark: go there.",
+        unit="share",
+        bound="at least",
+    ),
 )
 DROPPED_REASON = "blurred <badly>: 9.1 px"
 

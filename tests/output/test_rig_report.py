@@ -84,6 +84,9 @@ def test_each_check_is_shown_with_its_mark_and_what_to_do(page: Outline) -> None
     for check in CHECKS:
         assert check.name in page.text
         assert check.advice in page.text
+        assert check.limit_words in page.text
+    assert re.search(r"12 shots\s*at least 8 shots", page.text)
+    assert re.search(r"41 %\s*at least 60 %", page.text)
     marks = [attributes["class"] for tag, attributes in page.tags if tag == "span"]
     assert {"mark pass", "mark warn"} <= set(marks)
     assert page.text.count(CHECKS[1].advice) == 2  # in the table, and as the next thing to do
@@ -100,6 +103,12 @@ def test_every_photo_has_a_bar_and_the_one_left_out_says_why(page: Outline) -> N
 def test_the_numbers_of_the_rig_are_there(page: Outline) -> None:
     for words in ("3000.0 ± 1.5 px", "1000.0 ± 0.4 px", "12.00 ± 0.05 mm", "+0.0500 ± 0.0100", "0.42", "0.70 tele px"):
         assert words in page.text
+
+
+def test_a_coefficient_that_was_held_is_said_to_be_fixed(page: Outline) -> None:
+    assert "fixed at 0" in page.text
+    assert "0.0000 ±" not in page.text
+    assert "± 0.0000" not in page.text
 
 
 def test_depth_table_is_the_formula(page: Outline) -> None:

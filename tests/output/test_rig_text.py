@@ -7,8 +7,10 @@ import dataclasses
 import numpy as np
 from output.made_calibration import CHECKS, DROPPED_REASON, made_calibration
 
+from telewide.calibration.result import CameraStd
 from telewide.calibration.rig_file import RigFacts, StoredRig
-from telewide.output.rig_text import rig_lines, summary_line
+from telewide.geometry.rig import Camera
+from telewide.output.rig_text import distortion_words, rig_lines, summary_line
 
 
 def stored_rig(*, is_scale_known: bool = True, scale_verified: bool = False) -> StoredRig:
@@ -47,7 +49,21 @@ def test_numbers_come_with_their_uncertainty() -> None:
     turn_deg = np.degrees(np.hypot(0.01, 0.002))
     assert f"{turn_deg:.3f} degrees" in text
     assert CHECKS[1].advice in text
-    assert CHECKS[0].name not in text.partition("left out")[0].partition("warn")[2]  # passed checks need no words
+    assert "pass  joint views: 12 shots, at least 8 shots" in text
+    assert "warn  coverage of <wide>: 41 %, at least 60 %" in text
+
+
+def test_a_coefficient_tells_how_sure_it_is_or_that_it_was_held() -> None:
+    camera = Camera((10, 10), np.diag([9.0, 9.0, 1.0]), np.array([0.05, 0.0, 3e-5, 0.0, 0.1]))
+    std = CameraStd(1.0, 1.0, 1.0, np.array([0.01, 0.1, 1e-6, 0.0, 0.0]))
+    assert distortion_words(camera, std) == {
+        "k1": "+0.0500 ± 0.0100",
+        "k2": "fixed at 0",
+        "p1": "+0.0000300 ± 0.0000010",
+        "p2": "fixed at 0",
+        "k3": "fixed at +0.1",
+    }
+    assert distortion_words(camera, None)["k1"] == "+0.0500"
 
 
 def test_nominal_and_unknown_scale_are_said() -> None:
