@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Protocol
 
 from telewide.calibration.boards import Board, board_points_m, load_board, resized_board
+from telewide.calibration.exchanged import refuse_exchanged
 from telewide.calibration.recognise import recognise_board
 from telewide.calibration.result import Calibration
 from telewide.calibration.rig_file import RigFacts, write_rig
@@ -105,7 +106,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
 
     Raises:
         UsageError: no such folder or board, or a size no board has.
-        InputError: no photo shows the board, or no rig explains the photos.
+        InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
     """
     shots = find_board_shots(boards)
     observer.said(f"{len(shots)} shots in {boards}")
@@ -113,6 +114,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
     chosen = _chosen_board(shots, options, observer)
     tick = observer.detecting(len(shots))
     detected = detect_shots(shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes)
+    refuse_exchanged(shots, detected)
     calibration = calibrate_rig(detected, board_points_m=board_points_m(chosen.board), seed=options.seed)
     notes = (
         *chosen.notes,

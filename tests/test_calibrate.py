@@ -129,6 +129,41 @@ def test_photos_made_in_two_ways_have_no_rig_in_common(boards: Path, tmp_path: P
     assert not (tmp_path / "rig.yaml").exists()
 
 
+@pytest.mark.parametrize("is_by_lens", [True, False])
+def test_exchanged_photos_stop_before_the_solve_with_the_places_to_rename(
+    boards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], is_by_lens: bool
+) -> None:
+    """Two shots are too few to solve anything: that it is not said shows what was looked at first."""
+    monkeypatch.chdir(tmp_path)
+    for shot in sorted(boards.iterdir())[:2]:
+        for name, wrong in (("tele", "wide"), ("wide", "tele")):
+            path = (
+                Path("boards", wrong, f"{shot.name}.png") if is_by_lens else Path("boards", shot.name, f"{wrong}.png")
+            )
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(shot / f"{name}.png", path)
+    assert run_cli("calibrate", "--board", BOARD) == 3
+    told = capsys.readouterr().err
+    assert "exchanged" in told
+    first, second = ("boards/tele", "boards/wide") if is_by_lens else ("shot_00/tele.png", "shot_00/wide.png")
+    assert f"{first} to " in told
+    assert second in told
+    assert not (tmp_path / "rig.yaml").exists()
+
+
+def test_without_a_common_board_exif_tells_that_lenses_are_exchanged(boards: Path, tmp_path: Path) -> None:
+    for folder, lens, f35_mm in (("tele_close", "wide", 27), ("wide_close", "tele", 80)):
+        (tmp_path / "boards" / folder).mkdir(parents=True)
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0xA405] = f35_mm
+        photo = read_image(boards / "shot_00" / f"{lens}.png")
+        Image.fromarray((photo * 255).astype(np.uint8)).save(tmp_path / "boards" / folder / "one.jpg", exif=exif)
+    options = CalibrateOptions(board=BOARD, out=tmp_path / "rig.yaml", processes=1)
+    with pytest.raises(InputError, match=r"exchanged.*27 mm.*80 mm") as caught:
+        calibrate_boards(tmp_path / "boards", options=options, observer=Listener())
+    assert "tele_close" in str(caught.value.hint)
+
+
 def test_millimetres_are_refused(boards: Path, tmp_path: Path) -> None:
     options = CalibrateOptions(board=BOARD, square_m=25.0, out=tmp_path / "rig.yaml")
     with pytest.raises(UsageError, match="25"):

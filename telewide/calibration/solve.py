@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from telewide.calibration.checks import Evidence, quality_of
 from telewide.calibration.distortion import ASPECT, BELIEVED, CX, CY, N_LENS, F, n_coefficients
+from telewide.calibration.exchanged import WIDER
 from telewide.calibration.extrinsics import (
     Agreement,
     agreement,
@@ -38,8 +39,6 @@ from telewide.geometry.rig import rigid_transform
 FloatArray = NDArray[np.float64]
 
 _ROUNDS = 4
-_WIDER = 1.15
-"""A tele lens that sees this much more than the wide one was exchanged with it."""
 _CONTRADICTS_SQUARES = 0.25
 """Joint shots whose typical error exceeds this part of a square in every second shot show no common rig."""
 
@@ -116,7 +115,7 @@ def _doubted(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _refuse_exchanged(fits: Sequence[LensFit], gathered: Gathered) -> None:
     both = zip(fits, gathered.views, strict=True)
     tangents = [float(np.hypot(*views.hw) / 2 / fit.lens[F]) for fit, views in both]
-    if tangents[0] > _WIDER * tangents[1]:
+    if tangents[0] > WIDER * tangents[1]:
         angles = 2 * np.degrees(np.arctan(tangents))
         raise InputError(
             f"the tele photos show more ({angles[0]:.0f} degrees across) than the wide ones ({angles[1]:.0f})",
