@@ -139,7 +139,10 @@ def train(
 def depth(
     captures: CapturesArgument = Path("captures"),
     *,
-    run: Annotated[Path | None, typer.Option(help="Run folder of a training. [default: run/]")] = None,
+    # torchrun takes what begins like its own --run-path for itself: hence a second name.
+    run: Annotated[
+        Path | None, typer.Option("--run", "--run-folder", help="Run folder of a training. [default: run/]")
+    ] = None,
     weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
     method: Annotated[str, typer.Option(metavar="joint|network|sgm", help=METHOD_HELP)] = "joint",
     bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,

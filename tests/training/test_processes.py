@@ -81,7 +81,7 @@ def answer_of(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
 
 def test_captures_are_shared_among_processes(tmp_path: Path, repo: Path, captures: Path) -> None:
     """Both write their share, one answers for both: what one process alone would write and answer."""
-    words = ("-m", "telewide", "depth", "captures", "--method", "sgm", "--json")
+    words = ("-m", "telewide", "depth", "captures", "--run-folder", "run", "--method", "sgm", "--json")
     done = torchrun(*words, "--out", "shared", cwd=tmp_path, repo=repo)
     answer = answer_of(done)
     assert done.stderr.count("4 captures in captures") == 1, "one process speaks"
