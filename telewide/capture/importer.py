@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from telewide.capture.damage import why_damaged
 from telewide.capture.exif import PhotoFacts, read_photo_facts
 from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
 from telewide.capture.pairing import LensChoice, RollPair, RollPhoto, Unpaired, pair_photos
@@ -82,7 +83,7 @@ def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | 
     imported = _imported(captures)
     known = {name for photo in photos for key in _keys(photo) if (name := imported.get(key))}
     fresh = [photo for photo in photos if not any(key in imported for key in _keys(photo))]
-    pairs, left = pair_photos(fresh, choice=choice)
+    pairs, left = _pair_whole(fresh, choice)
     taken = {entry.name.casefold() for entry in captures.iterdir()} if captures.is_dir() else set()
     planned = tuple(PlannedPair(_free_name(pair.tele.path, taken), pair) for pair in pairs)
     unpaired = sorted([*left, *unread], key=lambda one: one.photo.path)
@@ -149,7 +150,11 @@ def _read_roll(files: Sequence[Path], tick: Tick | None) -> tuple[list[RollPhoto
     photos, unread = [], []
     for done, path in enumerate(files, start=1):
         try:
-            photos.append(RollPhoto(path, read_photo_facts(path)))
+            photo = RollPhoto(path, read_photo_facts(path))
+            if photo.facts.hw is None and (reason := why_damaged(path, photo.facts)):
+                unread.append(Unpaired(photo, reason))
+            else:
+                photos.append(photo)
         except TelewideError as error:
             reason = error.message.removeprefix(f"{path} ")
             told = f"{reason} ({error.hint})" if error.hint else reason
@@ -157,6 +162,23 @@ def _read_roll(files: Sequence[Path], tick: Tick | None) -> tuple[list[RollPhoto
         if tick is not None:
             tick(done, len(files))
     return list(_joined_twins(photos)), unread
+
+
+def _pair_whole(photos: Sequence[RollPhoto], choice: LensChoice) -> tuple[tuple[RollPair, ...], list[Unpaired]]:
+    """Pair photos whose files are whole; a damaged one leaves its place to the next."""
+    whole: set[Path] = set()
+    damaged: list[Unpaired] = []
+    candidates = list(photos)
+    while True:
+        pairs, left = pair_photos(candidates, choice=choice)
+        chosen = [photo for pair in pairs for photo in (pair.tele, pair.wide) if photo.path not in whole]
+        found = [Unpaired(one, reason) for one in chosen if (reason := why_damaged(one.path, one.facts))]
+        if not found:
+            return pairs, [*left, *damaged]
+        damaged += found
+        whole |= {one.path for one in chosen}
+        lost = {one.photo.path for one in damaged}
+        candidates = [photo for photo in candidates if photo.path not in lost]
 
 
 def _joined_twins(photos: Iterable[RollPhoto]) -> Iterator[RollPhoto]:

@@ -138,6 +138,32 @@ def test_what_is_no_photo_is_not_looked_at(roll: Path, tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
+def test_a_photo_that_was_cut_off_is_said_to_be_and_is_not_imported(tmp_path: Path, share: float) -> None:
+    dcim = tmp_path / "DCIM"
+    shoot(dcim, "T.jpg", TELE, 0)
+    shoot(dcim, "W.jpg", WIDE, 2)
+    cut = shoot(dcim, "W_cut.jpg", WIDE, 1)  # nearer to tele
+    cut.write_bytes(cut.read_bytes()[: int(share * cut.stat().st_size)])
+    plan = plan_import(dcim, tmp_path / "captures", choice=LensChoice())
+    assert planned(plan) == {"T": ("T.jpg", "W.jpg")}
+    (left,) = plan.unpaired
+    assert left.photo.path == cut
+    assert "cut off or damaged" in left.reason
+    assert "focal length" not in left.reason
+
+
+def test_the_partner_of_a_damaged_photo_is_left_alone(tmp_path: Path) -> None:
+    dcim = tmp_path / "DCIM"
+    shoot(dcim, "T.jpg", TELE, 0)
+    cut = shoot(dcim, "W.jpg", WIDE, 1)
+    cut.write_bytes(cut.read_bytes()[:-400])
+    plan = plan_import(dcim, tmp_path / "captures", choice=LensChoice())
+    assert plan.pairs == ()
+    assert "damaged" in {one.photo.path.name: one.reason for one in plan.unpaired}["W.jpg"]
+    assert len(plan.unpaired) == 2
+
+
 def test_captures_inside_the_roll_are_not_imported_again(roll: Path) -> None:
     captures = roll / "captures"
     carry_out(plan_import(roll, captures, choice=LensChoice()), captures)
