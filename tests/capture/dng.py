@@ -13,33 +13,12 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from telewide.simulate.dng import gain_map as gain_map
+from telewide.simulate.dng import opcode_list as opcode_list
+
 BLACK, WHITE = 64, 1023
 _RGB_FROM_XYZ = (3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570)
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _UNDEFINED, _SRATIONAL = 1, 2, 3, 4, 5, 7, 10
-_OPTIONAL = 1
-_VERSION = 0x01030000
-
-
-def opcode_list(*opcodes: tuple[int, bytes], flags: int = 0) -> bytes:
-    """Opcodes of (ID, parameters) as the specification lays them out."""
-    body = b"".join(struct.pack(">IIII", kind, _VERSION, flags, len(data)) + data for kind, data in opcodes)
-    return struct.pack(">I", len(opcodes)) + body
-
-
-def gain_map(
-    gains: NDArray[np.float32],
-    *,
-    area: tuple[int, int, int, int],
-    pitch: tuple[int, int] = (1, 1),
-    planes: tuple[int, int] = (0, 1),
-    spacing: tuple[float, float] | None = None,
-    origin: tuple[float, float] = (0.0, 0.0),
-) -> tuple[int, bytes]:
-    """GainMap of (V, U, M) gains that span the image."""
-    v, u, m = gains.shape
-    spacing = spacing or (1 / max(v - 1, 1), 1 / max(u - 1, 1))
-    head = struct.pack(">4I2I2I2I2d2dI", *area, *planes, *pitch, v, u, *spacing, *origin, m)
-    return 9, head + gains.astype(">f4").tobytes()
 
 
 def warp(*sets: Sequence[float], centre: tuple[float, float] = (0.5, 0.5)) -> tuple[int, bytes]:
