@@ -85,6 +85,17 @@ class TestFiles:
             steps = cv2.imread(str(png_path), cv2.IMREAD_UNCHANGED)
             np.testing.assert_allclose(steps[steps > 0] / 256, disparity_px[steps > 0], atol=1 / 256)
 
+    def test_what_the_bokeh_is_focused_on_is_written_down(self, matched: Path) -> None:
+        for folder in sorted(path for path in matched.iterdir() if path.is_dir()):
+            kept = json.loads((folder / "depth.json").read_text())
+            numbers = kept["numbers"]
+            x, y = int(numbers["focus_x_px"]), int(numbers["focus_y_px"])
+            disparity_px = read_pfm(folder / "disparity.pfm")
+            assert disparity_px[y, x] == pytest.approx(numbers["focus_px"], abs=0.5)
+            note = next(note for note in kept["notes"] if "bokeh" in note)
+            assert note.startswith(f"{folder.name}: bokeh is focused on x {x}, y {y}")
+            assert f"{numbers['focus_px']:.1f} px" in note
+
     def test_bokeh_blurs_and_keeps_the_focus(self, matched: Path, simulated: Path) -> None:
         photo, blurred = read_image(simulated / "000" / "tele.png"), read_image(matched / "000" / "bokeh.jpg")
         assert blurred.shape == photo.shape

@@ -14,11 +14,11 @@ from telewide.capture.pair import CaptureSet
 from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.output.bokeh import (
-    focus_disparity,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
     render_bokeh,
 )
+from telewide.output.focus import FOCUS_WORDS, Focus, find_focus
 
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
@@ -61,7 +61,7 @@ def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m:
     for capture in captures.captures:
         try:
             blank = np.zeros(read_image(capture.tele_path).shape[:2], np.float32)
-            focus_disparity(blank, blank, focus=bokeh.focus)
+            find_focus(blank, blank, focus=bokeh.focus)
         except UsageError as error:
             refusal = error
         except InputError:  # it is a problem of that capture, and said where the captures are read
@@ -72,8 +72,34 @@ def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m:
         raise refusal
 
 
+def focus_note(name: str, focus: Focus, *, depth_m: float | None, options: BokehOptions) -> str:
+    """Say what a bokeh picture is focused on, so that its owner can choose another place.
+
+    Args:
+        name: of the capture.
+        focus: what was found.
+        depth_m: distance of that place, m; None where it is not known.
+        options: what was asked for.
+    """
+    distance = "" if depth_m is None else f", {depth_m:.2f} m away"
+    word = options.focus.strip().lower()
+    ways = {
+        "auto": "the nearest large surface in the middle; --focus X,Y, near or far chooses another",
+        "near": "the nearest surface",
+        "far": "the farthest surface",
+    }
+    why = f" ({ways[word]})" if word in FOCUS_WORDS else ""
+    place = f"x {focus.x_px}, y {focus.y_px}"
+    return f"{name}: bokeh is focused on {place}{distance}, disparity {focus.disparity_px:.1f} px{why}"
+
+
 def bokeh_picture(
-    photo: FloatMap, disparity: DisparityMap, *, options: BokehOptions, baseline_m: float | None
+    photo: FloatMap,
+    disparity: DisparityMap,
+    *,
+    options: BokehOptions,
+    baseline_m: float | None,
+    focus: Focus | None = None,
 ) -> FloatMap:
     """Blur a photo by its disparity.
 
@@ -82,11 +108,14 @@ def bokeh_picture(
         disparity: on the photo.
         options: focus and strength.
         baseline_m: distance of the lenses, m; needed for an f-number.
+        focus: what is sharp; None finds what the options say.
 
     Returns:
         (H, W, 3) sRGB.
     """
-    focus_px = focus_disparity(disparity.disparity_px, disparity.confidence, focus=options.focus)
+    if focus is None:
+        focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
+    focus_px = focus.disparity_px
     if options.f_number is not None and baseline_m is not None:
         radius_per_px = radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
     else:

@@ -5,6 +5,7 @@ Letters: H W image.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -23,10 +24,11 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error
-from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
+from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, focus_note
 from telewide.output.depth import DepthResult, depth_result, depth_result_of_rig
 from telewide.output.edges import follow_edges
 from telewide.output.export import write_depth
+from telewide.output.focus import Focus, find_focus
 from telewide.output.kept import KEPT_NAME, KeptDepth, read_kept, write_kept
 from telewide.output.metric import DepthPrecision
 
@@ -57,8 +59,8 @@ class DepthOutcome:
     Attributes:
         name: of the capture.
         paths: files written.
-        notes: what was left out, and why.
-        numbers: seconds, shares of held-out matches missed, errors against a truth where the set has one.
+        notes: what was left out, and why; what the bokeh is focused on.
+        numbers: seconds, focus, shares of held-out matches missed, errors against a truth where the set has one.
         is_kept: whether all of it lay there, made from the same.
     """
 
@@ -156,15 +158,18 @@ def _make(
     if before != fingerprint(folder / "disparity.pfm"):
         (folder / "bokeh.jpg").unlink(missing_ok=True)  # of another depth
     names = [path.name for path in written.paths]
+    notes = written.notes
+    focused: dict[str, float] = {}
     if bokeh is not None:
         names.append("bokeh.jpg")
-        write_image(
-            folder / names[-1],
-            bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m),
-        )
-    numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s}
+        focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
+        picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
+        write_image(folder / names[-1], picture)
+        focused = _focus_numbers(focus, result)
+        notes = (*notes, focus_note(source.name, focus, depth_m=focused.get("focus_m"), options=bokeh))
+    numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s} | focused
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
-    return KeptDepth(tuple(names), written.notes, numbers | _errors_of_truth(source, result.disparity.disparity_px))
+    return KeptDepth(tuple(names), notes, numbers | _errors_of_truth(source, result.disparity.disparity_px))
 
 
 def _result_of_shot(name: str, working: DisparityMap, photo: FloatMap, *, shot: ShotGeometry) -> DepthResult:
@@ -184,6 +189,13 @@ def _result_of_shot(name: str, working: DisparityMap, photo: FloatMap, *, shot: 
     followed_px = follow_edges(on_tele.disparity_px, photo, confidence=confidence, valid=on_tele.valid & ~moved)
     disparity = DisparityMap(followed_px, confidence, on_tele.valid & ~moved)
     return depth_result_of_rig(name, disparity, rig=geometry.rig, precision=precision, matched_scale=geometry.scale)
+
+
+def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
+    """What the bokeh is focused on, in numbers; metres only where they are known."""
+    numbers = {"focus_px": focus.disparity_px, "focus_x_px": float(focus.x_px), "focus_y_px": float(focus.y_px)}
+    depth_m = math.nan if result.depth_m is None else float(result.depth_m[focus.y_px, focus.x_px])
+    return numbers | ({"focus_m": depth_m} if math.isfinite(depth_m) else {})
 
 
 def _errors_of_truth(source: Capture, disparity_px: FloatMap) -> dict[str, float]:

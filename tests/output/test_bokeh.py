@@ -12,7 +12,6 @@ from output.layered_world import World, random_world, reference_world
 from telewide.errors import InputError, UsageError
 from telewide.output import lens
 from telewide.output.bokeh import (
-    focus_disparity,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
     render_bokeh,
@@ -224,56 +223,3 @@ def test_f_number_gives_the_thin_lens_blur() -> None:
     assert abs(radius_per_px * disparity_px) == pytest.approx(diameter_px / 2)
     with pytest.raises(UsageError, match="baseline"):
         radius_per_px_from_f_number(f_number=1.8, baseline_m=0.0)
-
-
-# Focus
-
-
-@pytest.fixture
-def scene_px() -> np.ndarray:
-    """A wall at -3 px, a person in the middle at 12 px, a branch in the corner at 30 px."""
-    disparity_px = np.full((120, 160), -3.0, np.float32)
-    disparity_px[30:, 60:100] = 12.0
-    disparity_px[:30, :40] = 30.0
-    return disparity_px
-
-
-def test_focus_words_name_the_surfaces(scene_px: np.ndarray, rng: np.random.Generator) -> None:
-    noisy_px = scene_px + rng.normal(0, 0.1, scene_px.shape).astype(np.float32)
-    confidence = np.ones_like(noisy_px)
-    noisy_px[50:60, 70:80], confidence[50:60, 70:80] = 55.0, 0.1  # a mistake that knows it is one
-    noisy_px[::17, ::13] = np.nan
-    assert focus_disparity(noisy_px, confidence, focus="auto") == pytest.approx(12, abs=0.3)
-    assert focus_disparity(noisy_px, confidence, focus="near") == pytest.approx(30, abs=0.5)
-    assert focus_disparity(noisy_px, confidence, focus=" FAR ") == pytest.approx(-3, abs=0.5)
-    assert np.isfinite(focus_disparity(noisy_px, np.zeros_like(confidence), focus="auto"))
-
-
-@pytest.mark.parametrize("word", ["auto", "near", "far"])
-def test_focus_on_one_distance_is_that_distance(word: str) -> None:
-    assert focus_disparity(np.full((30, 40), -7.5, np.float32), np.ones((30, 40), np.float32), focus=word) == -7.5
-
-
-def test_focus_point_is_the_surface_under_it(scene_px: np.ndarray) -> None:
-    confidence = np.ones_like(scene_px)
-    for point, expected in (("80,60", 12), ("60, 30", 12), ("59,30", -3), ("0,0", 30), ("159,119", -3), ("-0.4,5", 30)):
-        assert focus_disparity(scene_px, confidence, focus=point) == expected
-    scene_px[60, 80] = np.nan
-    assert focus_disparity(scene_px, confidence, focus="80,60") == 12
-
-
-@pytest.mark.parametrize("focus", ["160,5", "5,120", "-1,5", "5,-1", "1e9,4", "nan,3", "inf,3"])
-def test_focus_outside_the_photo_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
-    with pytest.raises(UsageError, match="160 x 120"):
-        focus_disparity(scene_px, np.ones_like(scene_px), focus=focus)
-
-
-@pytest.mark.parametrize("focus", ["", "nearest", "12", "1,2,3", "a,b"])
-def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
-    with pytest.raises(UsageError, match="X,Y"):
-        focus_disparity(scene_px, np.ones_like(scene_px), focus=focus)
-
-
-def test_focus_without_any_disparity_is_refused() -> None:
-    with pytest.raises(InputError, match="no known value"):
-        focus_disparity(np.full((9, 9), np.nan, np.float32), np.ones((9, 9), np.float32), focus="auto")
