@@ -2,7 +2,7 @@
 
 Both lenses distort, stand askew and a centimetre apart; in every shot autofocus and stabilisation move the wide one a
 little, and its colours differ. What `telewide calibrate` is to find stands in ``truth/rig.json``, the disparity on each
-tele photo in ``captures/<name>/truth.pfm``.
+tele photo in ``captures/<name>/truth.pfm``, and what of it wide does not see in ``truth/hidden/<name>.png``.
 
 A still life is rendered in the rectified frame and looked up from the photos; a board is looked up ray by ray.
 Letters: N points, H W photo.
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,7 +66,17 @@ def phone_rig(rng: np.random.Generator, *, hw: tuple[int, int]) -> StereoRig:
     return StereoRig(tele, wide, rigid_transform(rotation=turn_rad, translation=to_wide_m))
 
 
-def write_phone(folder: Path, *, captures: int, boards: int = 14, seed: int = 0, width: int = 960) -> StereoRig:
+def write_phone(
+    folder: Path,
+    *,
+    captures: int,
+    boards: int = 14,
+    seed: int = 0,
+    width: int = 960,
+    moves: bool = True,
+    cast: bool = True,
+    depths_m: Sequence[tuple[float, float]] = ((NEAREST_M, FARTHEST_M),),
+) -> StereoRig:
     """Write ``boards/`` and ``captures/`` of a simulated phone.
 
     Args:
@@ -74,6 +85,9 @@ def write_phone(folder: Path, *, captures: int, boards: int = 14, seed: int = 0,
         boards: number of shots of the board, by both lenses.
         seed: the same seed writes the same pictures.
         width: of all photos, px; they are 3 : 2.
+        moves: whether the wide lens moves in every shot; the same things are photographed either way.
+        cast: whether the colours of wide differ.
+        depths_m: nearest and farthest of a still life, which take turns.
 
     Returns:
         The phone as it is when nothing moves.
@@ -86,6 +100,8 @@ def write_phone(folder: Path, *, captures: int, boards: int = 14, seed: int = 0,
         raise UsageError(
             f"captures {captures}, boards {boards}, width {width}: at least 1 capture and 320 px were expected"
         )
+    if not depths_m or not all(0 < near_m < far_m for near_m, far_m in depths_m):
+        raise UsageError(f"depths {depths_m}: a nearer and a farther one were expected, in metres")
     board_seed, capture_seed, rig_seed = np.random.SeedSequence(seed).spawn(3)
     rig = phone_rig(np.random.default_rng(rig_seed), hw=(width * 2 // 3, width))
     for number, child in enumerate(board_seed.spawn(boards)):
@@ -94,9 +110,15 @@ def write_phone(folder: Path, *, captures: int, boards: int = 14, seed: int = 0,
         place = folder / "boards" / f"{number:03d}"
         for name, camera, camera_from_tele in _lenses(rig):
             photo = _photo_of_board(camera, camera_from_tele @ tele_from_board)
-            write_image(place / f"{name}.jpg", _developed(photo, rng, is_wide=name == "wide"), quality=95)
+            write_image(place / f"{name}.jpg", _developed(photo, rng, is_wide=name == "wide", cast=cast), quality=95)
     for number, child in enumerate(capture_seed.spawn(captures)):
-        _write_still_life(folder / "captures" / f"{number:03d}", np.random.default_rng(child), rig)
+        rng = np.random.default_rng(child)
+        moved = _moved(rng, rig)  # drawn in any case: what is drawn after it stays the same
+        place = folder / "captures" / f"{number:03d}"
+        hidden = _write_still_life(
+            place, rng, moved if moves else rig, depths_m=depths_m[number % len(depths_m)], cast=cast
+        )
+        write_image(folder / "truth" / "hidden" / f"{place.name}.png", hidden)
     truth = {
         "baseline_m": rig.baseline_m,
         "f_tele_px": rig.tele.f_px,
@@ -153,17 +175,20 @@ def _photo_of_board(camera: Camera, camera_from_board: FloatArray) -> FloatMap:
     return np.dstack([small, small * np.float32(0.98), small * np.float32(0.95)])
 
 
-def _write_still_life(folder: Path, rng: np.random.Generator, rig: StereoRig) -> None:
-    moved = _moved(rng, rig)
-    geometry = rectified_geometry(moved)
-    gain = geometry.f_px * moved.baseline_m
-    scene = still_life(rng, hw=geometry.hw, disparity_window_px=(gain / FARTHEST_M, gain / NEAREST_M))
+def _write_still_life(
+    folder: Path, rng: np.random.Generator, rig: StereoRig, *, depths_m: tuple[float, float], cast: bool
+) -> FloatMap:
+    """Write a capture; (H, W) of its tele photo, 1 where wide does not see what tele sees."""
+    geometry = rectified_geometry(rig)
+    gain, (near_m, far_m) = geometry.f_px * rig.baseline_m, depths_m
+    scene = still_life(rng, hw=geometry.hw, disparity_window_px=(gain / far_m, gain / near_m))
     views = render_pair(scene)
     tele = _looked_up(views.ref, geometry, lens="tele")
     wide = _looked_up(views.src, geometry, lens="wide")
-    write_image(folder / "tele.jpg", _developed(tele, rng, is_wide=False), quality=95)
-    write_image(folder / "wide.jpg", _developed(wide, rng, is_wide=True), quality=95)
+    write_image(folder / "tele.jpg", _developed(tele, rng, is_wide=False, cast=cast), quality=95)
+    write_image(folder / "wide.jpg", _developed(wide, rng, is_wide=True, cast=cast), quality=95)
     write_pfm(folder / "truth.pfm", _truth_on_tele(views.disparity_px, geometry))
+    return _seen_by_tele(views.occluded.astype(np.float32), geometry)
 
 
 def _moved(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
@@ -193,12 +218,17 @@ def _truth_on_tele(disparity_px: FloatMap, geometry: RectifiedGeometry) -> Float
     rows, columns = np.indices(geometry.hw)
     ratio = geometry.tele_depth_per_rectified_depth(np.column_stack([columns.ravel(), rows.ravel()]))
     gain = geometry.rig.tele.K[0, 0] / geometry.f_px
-    seen_px = (disparity_px * gain / ratio.reshape(geometry.hw)).astype(np.float32)
+    return _seen_by_tele((disparity_px * gain / ratio.reshape(geometry.hw)).astype(np.float32), geometry)
+
+
+def _seen_by_tele(of_ref: FloatMap, geometry: RectifiedGeometry) -> FloatMap:
+    """A map of the rectified ref, of the sample nearest to the centre of each pixel of the tele photo."""
     map_x, map_y = dense_map(geometry.ref_from_tele, hw=geometry.rig.tele.hw)
-    return np.asarray(cv2.remap(seen_px, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(cv2.remap(of_ref, map_x, map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE))
 
 
-def _developed(photo: FloatMap, rng: np.random.Generator, *, is_wide: bool) -> FloatMap:
-    gain = np.exp(rng.normal(0.0, 0.03) + rng.normal(0.0, 0.05, 3)) if is_wide else np.ones(3)
+def _developed(photo: FloatMap, rng: np.random.Generator, *, is_wide: bool, cast: bool) -> FloatMap:
+    drawn = np.exp(rng.normal(0.0, 0.03) + rng.normal(0.0, 0.05, 3)) if is_wide else np.ones(3)
+    gain = drawn if cast else np.ones(3)
     damage = Degradation(noise_std=0.006 if is_wide else 0.003, gain=(float(gain[0]), float(gain[1]), float(gain[2])))
     return degrade(np.clip(photo, 0, 1), damage, rng=rng)
