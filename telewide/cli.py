@@ -10,7 +10,7 @@ import json
 import logging
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
@@ -24,6 +24,7 @@ from telewide.cli_board import board
 from telewide.cli_calibrate import CALIBRATE_EPILOG, SHOW_EPILOG, calibrate, show
 from telewide.cli_import import IMPORT_EPILOG, import_photos
 from telewide.errors import TelewideError, UsageError
+from telewide.stopping import INTERRUPTED, terminable
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from telewide.pipeline import DepthOptions, DepthRun
     from telewide.progress import ConsoleObserver
 
-INTERRUPTED = 130
 _ISSUES_HINT = "the command and the lines above"
 
 app = typer.Typer(
@@ -255,10 +255,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         arguments: the words after ``telewide``; None takes them from the process.
     """
     logging.basicConfig(level=logging.WARNING, format="note: %(message)s", stream=sys.stderr)
-    sys.exit(_exit_code(arguments))
+    if this_process().world > 1:  # torchrun ends its processes together, and waits for none
+        sys.exit(_exit_code(arguments, lambda: INTERRUPTED))
+    with terminable() as interrupted:
+        sys.exit(_exit_code(arguments, interrupted))
 
 
-def _exit_code(arguments: Sequence[str] | None) -> int:
+def _exit_code(arguments: Sequence[str] | None, interrupted: Callable[[], int]) -> int:
     words = list(arguments) if arguments is not None else sys.argv[1:]
     try:
         code = app(words, prog_name="telewide", standalone_mode=False)
@@ -267,7 +270,7 @@ def _exit_code(arguments: Sequence[str] | None) -> int:
     except BrokenPipeError:
         return 0
     except (Exception, KeyboardInterrupt) as error:
-        failure = _told(error)
+        failure = _told(error, interrupted)
         if "--json" in words:
             _print_json(dataclasses.asdict(failure))
         return failure.exit_code
@@ -283,14 +286,14 @@ class _Failure:
     exit_code: int
 
 
-def _told(error: BaseException) -> _Failure:
+def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
     """Say on standard error what went wrong."""
     show = getattr(error, "show", None)  # the parser's own errors know how to show themselves
     if isinstance(error, TelewideError):
         failure = _Failure(error.message, error.hint, error.exit_code)
         typer.echo(f"error: {error.message}" + (f"\n  {error.hint}" if error.hint else ""), err=True)
     elif isinstance(error, KeyboardInterrupt | typer.Abort):
-        failure = _Failure("stopped; what was finished is kept", "run the same command to continue", INTERRUPTED)
+        failure = _Failure("stopped; what was finished is kept", "run the same command to continue", interrupted())
         typer.echo(f"{failure.error}, {failure.hint}", err=True)
     elif callable(show):
         show()
