@@ -24,6 +24,7 @@ from telewide.correction.moving import MovedRegion, find_moving, moving_note
 from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.scale import estimate_scale
+from telewide.correction.scene_quality import zero_std_px
 from telewide.correction.shot import ShotRefinement, fit_shot, refined_rig
 from telewide.errors import UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
@@ -140,6 +141,9 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
 def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthPrecision:
     """What all depths of a set are uncertain by: the rig's own deviations, and the lens's unseen shift.
 
+    A rig from scenes does not know where infinitely far things lie; that moves all disparities as the lens's shift
+    does, and a known distance takes out both.
+
     Args:
         alignments: of all shots, whose vertical offsets show how far the lens moves.
         rig: the shots were rectified with.
@@ -148,10 +152,12 @@ def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthP
     fits = [alignment.refinement for alignment in alignments]
     # A shot whose pose was fitted has no offset of its own.
     offsets_px = [fit.vertical_offset_px for fit in fits if fit.is_fitted and fit.is_at_once]
+    shift_px = lens_shift_std_px(offsets_px, width_px=max(tele.hw))
+    zero_px = zero_std_px(rig.quality) * tele.hw[1] / rig.rig.tele.hw[1]
     return DepthPrecision(
         baseline_std_m=0.0 if rig.transform_std is None else _known(rig.transform_std.baseline_m),
         f_std_px=0.0 if rig.tele_std is None else _known(rig.tele_std.f_px) * tele.hw[1] / rig.rig.tele.hw[1],
-        lens_shift_std_px=lens_shift_std_px(offsets_px, width_px=max(tele.hw)),
+        lens_shift_std_px=math.hypot(shift_px, zero_px),
     )
 
 

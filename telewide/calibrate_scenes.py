@@ -1,8 +1,10 @@
-"""A rig without a board: EXIF and the matches of ordinary captures in, rig.yaml out.
+"""A rig without a board: EXIF and the matches of ordinary captures in, rig.yaml and a page about it out.
 
-    captures/ ── EXIF focal lengths ── match every capture ── solve jointly ── solve halves, to judge it ── rig.yaml
+    captures/ ── EXIF focal lengths ── match every capture ── solve jointly ── solve halves, to judge it
+              ── rig.yaml + rig_report.html
 
-What such a rig cannot know (the length of the baseline, the zero of disparity) is part of its checks.
+What such a rig cannot know (the length of the baseline, the zero of disparity) is part of its checks. A rig that is not
+good enough is written too, marked so; it is for the caller to refuse it.
 """
 
 from __future__ import annotations
@@ -12,43 +14,43 @@ import statistics
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibrate import RIG_FILE, CalibrationObserver
-from telewide.calibration.quality import CalibrationQuality, Check, Status, verdict_of
+from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import CameraStd, TransformStd
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
-from telewide.calibration.validation import difference_px
 from telewide.capture.exif import image_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.pair import Capture, find_captures
-from telewide.correction.epipolar import vertical_misfit_px
 from telewide.correction.matches import Matches
 from telewide.correction.photo_matches import find_photo_matches
-from telewide.correction.scenes import MIN_SCENES, FocalPrior, SceneRig, first_rig, rig_from_scenes
+from telewide.correction.rectify import rectify_pair
+from telewide.correction.scene_quality import (
+    MIN_CHECKED_SCENES,
+    SceneEvidence,
+    is_match,
+    judge_scenes,
+    row_errors_px,
+)
+from telewide.correction.scene_rig import FocalPrior, SceneRig, Side
+from telewide.correction.scenes import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
 from telewide.correction.shot import fit_shot, refined_rig
-from telewide.errors import InputError
+from telewide.errors import InputError, TelewideError
+from telewide.geometry.stereo import FloatMap
+from telewide.output.report import NextStep
+from telewide.output.scenes_report import SceneView, write_scenes_report
 
-FloatArray = NDArray[np.float64]
 Hw = tuple[int, int]
 
 CAPTURES_FOLDER = Path("captures")
 _FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
-_TYPICAL_DEPTH_BASELINES = 100.0
-"""Depth, in baselines, at which two rigs are compared: about a metre on a phone."""
-_GRID_HW = (12, 16)
 _CENTRE_STD_SHARE = 0.01
 """Tele's principal point is taken as the photo's middle; lenses are off by about so much of the width."""
-_MISMATCH_WIDE_PX = 3.0
-# Limits: (passes, fails), as of the checks of a board.
-_SCENES = (8, MIN_SCENES)
-_F_STD = (0.02, 0.1)
-_F_DEVIATION = (0.1, 0.3)
-_ERROR_WIDE_PX = (0.75, 2.5)
-_ZERO_PX = (1.0, math.inf)
+_PREVIEW_WIDTH_PX = 1000
 
 
 @dataclass(frozen=True)
@@ -56,13 +58,15 @@ class SceneOptions:
     """What ``telewide calibrate --from-scenes`` was asked for.
 
     Attributes:
-        baseline_m: distance of the lenses, where the user knows it.
+        baseline_m: distance of the lenses, where the user states it.
+        wide_side: the side of tele on which wide stands, where the user states it.
         f35_mm: focal lengths of tele and wide as 35 mm equivalents; None takes those of EXIF.
-        out: the file to write.
+        out: the file to write; the report lies beside it.
         seed: of the choice among many matches.
     """
 
     baseline_m: float | None = None
+    wide_side: Side | None = None
     f35_mm: tuple[float, float] | None = None
     out: Path = RIG_FILE
     seed: int = 0
@@ -75,16 +79,40 @@ class SceneRun:
     Attributes:
         stored: the rig with its quality.
         rig: path of ``rig.yaml``.
+        report: path of the page about it.
         notes: what a person should know, one sentence each.
     """
 
     stored: StoredRig
     rig: Path
+    report: Path
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Matched:
+    """Captures of one size with their matches.
+
+    Attributes:
+        captures: of the commonest photo sizes.
+        scenes: their matches.
+        sizes: of tele's and of wide's photos.
+        notes: on captures that have no say.
+    """
+
+    captures: tuple[Capture, ...]
+    scenes: tuple[Matches, ...]
+    sizes: tuple[Hw, Hw]
+    notes: tuple[str, ...]
+
+    @property
+    def telling(self) -> tuple[int, ...]:
+        """Numbers of the captures with matches enough."""
+        return tuple(n for n, matches in enumerate(self.scenes) if len(matches) >= MIN_SCENE_MATCHES)
+
+
 def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: CalibrationObserver) -> SceneRun:
-    """Find a rig from captures of ordinary scenes, and write it.
+    """Find a rig from captures of ordinary scenes, and write it and a page about it.
 
     Args:
         captures: folder of the captures, photos as they came from the phone.
@@ -92,35 +120,28 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
         observer: hears of it.
 
     Returns:
-        The rig, of any verdict, with the file written.
+        The rig, of any verdict, with the files written.
 
     Raises:
-        UsageError: no such folder.
+        UsageError: no such folder, or wide cannot stand where it is stated to.
         InputError: the photos do not say their focal length, or too few of them match.
     """
     found = find_captures(captures)
     observer.said(f"{len(found.captures)} captures in {captures}")
     focal_mm = options.f35_mm or _stated_f35_mm(captures, found.captures)
-    tick = observer.detecting(len(found.captures))
-    scenes, sizes, notes = _matched(found.captures, focal_mm=focal_mm, tick=tick)
-    focal = _focal_prior(focal_mm, sizes)
-
-    def solved(some: Sequence[Matches]) -> SceneRig:
-        return rig_from_scenes(
-            some, tele_hw=sizes[0], wide_hw=sizes[1], focal=focal, baseline_m=options.baseline_m, seed=options.seed
-        )
-
-    whole = solved(scenes)
-    halves = (solved(scenes[::2]), solved(scenes[1::2])) if len(scenes) >= 2 * MIN_SCENES else None
+    matched = _matched(found.captures, focal_mm=focal_mm, tick=observer.detecting(len(found.captures)))
+    focal = _focal_prior(focal_mm, matched.sizes)
+    evidence = _solved(matched, focal=focal, options=options)
     facts = RigFacts(
-        image_pipeline=image_pipeline(found.captures[0].tele_path),
-        scale_verified=options.baseline_m is not None,
+        image_pipeline=image_pipeline(matched.captures[0].tele_path),
+        scale_verified=False,  # a distance that somebody states is not measured in these photos
         source="scenes",
-        notes=whole.notes,
+        notes=evidence.whole.notes,
     )
-    stored = _stored(whole, quality=_quality(whole, halves, scenes, focal=focal), facts=facts)
+    stored = _stored(evidence.whole, quality=judge_scenes(evidence, focal=focal), facts=facts)
     write_stored_rig(options.out, stored)
-    return SceneRun(stored, options.out, (*whole.notes, *notes))
+    report = _write_report(captures, matched, evidence, stored=stored, options=options)
+    return SceneRun(stored, options.out, report, (*evidence.whole.notes, *matched.notes))
 
 
 def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, float]:
@@ -135,22 +156,23 @@ def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, fl
     return statistics.median(stated[0]), statistics.median(stated[1])
 
 
-def _matched(
-    captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick: Callable[[], None]
-) -> tuple[list[Matches], tuple[Hw, Hw], list[str]]:
-    """Matches of all captures of the commonest photo sizes, those sizes, and notes on the others."""
-    sizes = Counter(_sizes(capture) for capture in captures)
-    common = sizes.most_common(1)[0][0]
+def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick: Callable[[], None]) -> _Matched:
+    """Match all captures of the commonest photo sizes; notes on the others."""
+    sizes = [_sizes(capture) for capture in captures]
+    common = Counter(sizes).most_common(1)[0][0]
     rig = first_rig(tele_hw=common[0], wide_hw=common[1], focal=_focal_prior(focal_mm, common))
-    scenes, notes = [], []
-    for capture in captures:
-        if _sizes(capture) == common:
+    alike, scenes, notes = [], [], []
+    for capture, size in zip(captures, sizes, strict=True):
+        if size == common:
             tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
+            alike.append(capture)
             scenes.append(find_photo_matches(tele, wide, rig=rig))
+            if len(scenes[-1]) < MIN_SCENE_MATCHES:
+                notes.append(f"{capture.name}: {len(scenes[-1])} matches, too few for a say")
         else:
             notes.append(f"{capture.name}: photos of another size or held otherwise, left out")
         tick()
-    return scenes, common, notes
+    return _Matched(tuple(alike), tuple(scenes), common, tuple(notes))
 
 
 def _sizes(capture: Capture) -> tuple[Hw, Hw]:
@@ -168,84 +190,29 @@ def _focal_prior(focal_mm: tuple[float, float], sizes: tuple[Hw, Hw]) -> FocalPr
     return FocalPrior(tele_f_px=tele, wide_f_px=wide)
 
 
-def _quality(
-    whole: SceneRig, halves: tuple[SceneRig, SceneRig] | None, scenes: Sequence[Matches], *, focal: FocalPrior
-) -> CalibrationQuality:
-    errors_px = _held_out_px(halves, scenes) if halves is not None else np.zeros(0)
-    p50, p90, p99 = np.percentile(errors_px, (50, 90, 99)) if len(errors_px) else (math.nan,) * 3
-    cross_px = _cross_px(halves) if halves is not None else math.nan
-    checks = _checks(whole, focal=focal, p90_px=float(p90), cross_px=cross_px)
-    return CalibrationQuality(
-        tele_rms_px=math.nan,
-        wide_rms_px=math.nan,
-        epipolar_p50_px=float(p50),
-        epipolar_p90_px=float(p90),
-        epipolar_p99_px=float(p99),
-        cross_validation_px=cross_px,
-        checks=checks,
-        verdict=verdict_of(checks),
-    )
+def _solved(matched: _Matched, *, focal: FocalPrior, options: SceneOptions) -> SceneEvidence:
+    """The rig from all captures, and from halves of them where there are enough, with what those say of the others."""
 
+    def rig_of(some: Sequence[Matches], wide_side: Side | None) -> SceneRig:
+        return rig_from_scenes(
+            some,
+            tele_hw=matched.sizes[0],
+            wide_hw=matched.sizes[1],
+            focal=focal,
+            baseline_m=options.baseline_m,
+            wide_side=wide_side,
+            seed=options.seed,
+        )
 
-def _held_out_px(halves: tuple[SceneRig, SceneRig], scenes: Sequence[Matches]) -> FloatArray:
-    """Row errors of captures with the rig that did not see them, each shot's own correction on top, mismatches out."""
-    errors = [np.zeros(0)]
-    for number, matches in enumerate(scenes):
-        other = halves[1 - number % 2].rig
-        moved = refined_rig(other, fit_shot(matches, rig=other))
-        errors.append(np.abs(vertical_misfit_px(matches.ref_px, matches.src_px, rig=moved)))
-    all_px = np.concatenate(errors)
-    return all_px[all_px < _MISMATCH_WIDE_PX * halves[0].rig.asymmetry]
-
-
-def _cross_px(halves: tuple[SceneRig, SceneRig]) -> float:
-    depth_m = _TYPICAL_DEPTH_BASELINES * halves[0].rig.baseline_m
-    moved = difference_px(halves[0].rig, halves[1].rig, distance_m=depth_m, grid_hw=_GRID_HW)
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=-1))))
-
-
-def _checks(whole: SceneRig, *, focal: FocalPrior, p90_px: float, cross_px: float) -> tuple[Check, ...]:
-    factor = max(whole.rig.asymmetry, 1.0)
-    limits_px = (_ERROR_WIDE_PX[0] * factor, _ERROR_WIDE_PX[1] * factor)
-    more = "Take more captures of scenes with texture all over the tele photo, near and far."
-    n = whole.n_scenes
-    return (
-        Check(
-            "captures",
-            "pass" if n >= _SCENES[0] else "warn",
-            n,
-            _SCENES[0],
-            "" if n >= _SCENES[0] else f"{n} captures had matches enough. {more}",
-        ),
-        _at_most(
-            "focal length",
-            whole.std.tele_f_share,
-            _F_STD,
-            "Focal lengths are only as good as EXIF's, or as stated: photograph a board.",
-        ),
-        _at_most(
-            "focal length against EXIF",
-            abs(whole.rig.tele.f_px / focal.tele_f_px - 1),
-            _F_DEVIATION,
-            f"Matches want a tele focal length of {whole.rig.tele.f_px:.0f} px, EXIF says {focal.tele_f_px:.0f}: they "
-            "contradict each other; photograph a board.",
-        ),
-        _at_most("focal ratio", whole.std.ratio_share, _F_STD, more),
-        _at_most("held-out epipolar error", p90_px, limits_px, more),
-        _at_most("odd/even difference", cross_px, limits_px, more),
-        _at_most(
-            "zero of disparity",
-            whole.std.zero_px,
-            _ZERO_PX,
-            f"What is infinitely far is known to {whole.std.zero_px:.1f} px of disparity only: state a known distance "
-            "with --distance, or photograph a board.",
-        ),
-    )
-
-
-def _at_most(name: str, value: float, limits: tuple[float, float], advice: str) -> Check:
-    status: Status = "pass" if value <= limits[0] else "fail" if value > limits[1] else "warn"
-    return Check(name, status, value, limits[0], "" if status == "pass" else advice)
+    whole = rig_of(matched.scenes, options.wide_side)
+    scenes = [matched.scenes[n] for n in matched.telling]
+    if len(scenes) < MIN_CHECKED_SCENES:
+        return SceneEvidence(whole, None)
+    # Which side it is has a check of its own: halves that guess differently would say nothing about the rest.
+    halves = (rig_of(scenes[::2], whole.wide_side), rig_of(scenes[1::2], whole.wide_side))
+    errors_px = [row_errors_px(each, rig=halves[1 - n % 2].rig) for n, each in enumerate(scenes)]
+    kept_px = tuple(errors[is_match(errors, rig=whole.rig)] for errors in errors_px)
+    return SceneEvidence(whole, halves, kept_px)
 
 
 def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) -> StoredRig:
@@ -254,6 +221,9 @@ def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) ->
     centre_px = _CENTRE_STD_SHARE * max(rig.tele.hw)
     # In the picture plane and out of it: the two directions in which a unit vector can move.
     direction_m = rig.baseline_m * np.array([std.direction_rad[0], std.direction_rad[0], std.direction_rad[1]])
+    length_m = std.baseline_m * rig.wide_from_tele[:3, 3] / rig.baseline_m
+    covariance = np.diag(np.concatenate([std.rotation_rad, direction_m]) ** 2)
+    covariance[3:, 3:] += np.outer(length_m, length_m)
     return StoredRig(
         rig=rig,
         tele_std=CameraStd(std.tele_f_share * rig.tele.f_px, centre_px, centre_px, np.zeros(len(rig.tele.distortion))),
@@ -265,11 +235,88 @@ def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) ->
         ),
         transform_std=TransformStd(
             rotation_deg=np.degrees(std.rotation_rad),
-            translation_m=direction_m,
-            baseline_m=0.0,
-            covariance=np.diag(np.concatenate([std.rotation_rad, direction_m]) ** 2),
+            translation_m=np.sqrt(np.diag(covariance)[3:]),
+            baseline_m=std.baseline_m,
+            covariance=covariance,
         ),
         quality=quality,
         facts=facts,
         n_joint_views=whole.n_scenes,
     )
+
+
+def _write_report(
+    folder: Path, matched: _Matched, evidence: SceneEvidence, *, stored: StoredRig, options: SceneOptions
+) -> Path:
+    path = options.out.with_name(f"{options.out.stem}_report.html")
+    facts = {
+        "captures": str(folder),
+        "focal lengths": "EXIF" if options.f35_mm is None else "stated, {:g} and {:g} mm".format(*options.f35_mm),
+        "rig": options.out.name,
+        "telewide": metadata.version("telewide"),
+    }
+    return write_scenes_report(
+        path,
+        evidence.whole,
+        quality=stored.quality,
+        views=_views(matched, evidence),
+        facts=facts,
+        next_steps=_next_steps(folder, stored, options=options, evidence=evidence),
+        rectified=_rectified_capture(matched, evidence.whole),
+    )
+
+
+def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:
+    held_out = dict(zip(matched.telling, evidence.errors_px, strict=False))
+    views = []
+    for number, (capture, matches) in enumerate(zip(matched.captures, matched.scenes, strict=True)):
+        is_used = number in matched.telling
+        agreeing = matches
+        if is_used:
+            errors_px = row_errors_px(matches, rig=evidence.whole.rig)
+            agreeing = matches.select(is_match(errors_px, rig=evidence.whole.rig))
+        views.append(SceneView(capture.name, agreeing, len(matches), held_out.get(number, np.zeros(0)), is_used))
+    return tuple(views)
+
+
+def _next_steps(
+    folder: Path, stored: StoredRig, *, options: SceneOptions, evidence: SceneEvidence
+) -> tuple[NextStep, ...]:
+    stated = {
+        "--f35": None if options.f35_mm is None else "{:g},{:g}".format(*options.f35_mm),
+        "--baseline-m": options.baseline_m,
+        "--wide-side": options.wide_side,
+    }
+    words = [f"{flag} {value}" for flag, value in stated.items() if value is not None]
+    again = " ".join(["telewide calibrate", str(folder), "--from-scenes", *words])
+    steps = []
+    if any(check.unit == "captures" and check.status != "pass" for check in stored.quality.checks):
+        steps.append(NextStep("Add such captures to the folder and calibrate again:", again))
+    if evidence.whole.side_source == "guessed":
+        side = evidence.whole.wide_side
+        steps.append(NextStep("State where the wide lens stands, seen from behind:", f"{again} --wide-side {side}"))
+    if options.baseline_m is None:
+        text = "For metres, measure from the middle of one lens to that of the other, and give it in metres:"
+        steps.append(NextStep(text, f"{again} --baseline-m M"))
+    if stored.quality.verdict != "insufficient":
+        steps.append(NextStep("Train on captures taken with the same lenses:", f"telewide train {folder}"))
+        text = "Pin a capture's depth to a point (column, row) of the tele photo and its distance in metres:"
+        steps.append(NextStep(text, f"telewide depth {folder}/NAME --distance X,Y,M"))
+    return tuple(steps)
+
+
+def _rectified_capture(matched: _Matched, whole: SceneRig) -> tuple[str, FloatMap, FloatMap] | None:
+    """The capture with the most matches, rectified; None where the rig cannot."""
+    number = max(range(len(matched.scenes)), key=lambda n: len(matched.scenes[n]))
+    capture = matched.captures[number]
+    try:
+        rectified = rectify_pair(
+            read_image(capture.tele_path),
+            read_image(capture.wide_path),
+            rig=refined_rig(whole.rig, fit_shot(matched.scenes[number], rig=whole.rig)),
+            name=capture.name,
+            working_width_px=_PREVIEW_WIDTH_PX,
+        )
+    except TelewideError:  # an insufficient rig may be one that cannot be rectified; its report is needed all the more
+        return None
+    return capture.name, rectified.pair.tele, rectified.pair.wide

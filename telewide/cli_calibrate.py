@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +15,7 @@ import typer
 from telewide.errors import QualityError, UsageError
 
 if TYPE_CHECKING:
+    from telewide.calibrate_scenes import SceneOptions
     from telewide.calibration.quality import CalibrationQuality
     from telewide.calibration.rig_file import StoredRig
     from telewide.progress import ConsoleObserver
@@ -34,7 +35,15 @@ ScenesOption = Annotated[
     bool, typer.Option("--from-scenes", help="No board: find a rig from EXIF and the matches of captures.")
 ]
 BaselineOption = Annotated[
-    float | None, typer.Option(metavar="M", help="Distance of the lenses, metres; with --from-scenes.")
+    float | None, typer.Option(metavar="M", help="Distance of the lenses, metres, by a ruler; with --from-scenes.")
+]
+SideOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="left|right|above|below",
+        help="Where the wide lens stands, seen from tele and from behind the phone, photos upright; with "
+        "--from-scenes. [default: guessed]",
+    ),
 ]
 F35Option = Annotated[
     str | None,
@@ -54,6 +63,7 @@ def calibrate(
     square_m: SquareOption = None,
     from_scenes: ScenesOption = False,
     baseline_m: BaselineOption = None,
+    wide_side: SideOption = None,
     f35: F35Option = None,
     out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = Path("rig.yaml"),
     seed: Annotated[int, typer.Option(help="Seed of the choice of photos held out.")] = 0,
@@ -65,10 +75,10 @@ def calibrate(
     if from_scenes:
         if board is not None or square_m is not None:
             raise UsageError("--board and --square-m describe a board; --from-scenes goes without one")
-        _calibrate_scenes(photos, out=out, baseline_m=baseline_m, f35=f35, seed=seed, as_json=as_json, quiet=quiet)
+        stated = _scene_options(out, baseline_m=baseline_m, wide_side=wide_side, f35=f35, seed=seed)
+        _calibrate_scenes(photos, stated, as_json=as_json, quiet=quiet)
         return
-    if baseline_m is not None or f35 is not None:
-        raise UsageError("--baseline-m and --f35 go with --from-scenes; a board tells both")
+    _refuse_options_of_scenes({"--baseline-m": baseline_m, "--wide-side": wide_side, "--f35": f35})
     from telewide.calibrate import BOARDS_FOLDER, CalibrateOptions, calibrate_boards
     from telewide.calibration.rig_file import stored_rig
 
@@ -122,28 +132,41 @@ def _observer(*, is_quiet: bool) -> Iterator[ConsoleObserver]:
         observer.close()
 
 
-def _calibrate_scenes(
-    photos: Path | None,
-    *,
-    out: Path,
-    baseline_m: float | None,
-    f35: str | None,
-    seed: int,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    from telewide.calibrate_scenes import CAPTURES_FOLDER, SceneOptions, calibrate_scenes
+def _refuse_options_of_scenes(stated: Mapping[str, object]) -> None:
+    named = [flag for flag, value in stated.items() if value is not None]
+    if named:
+        raise UsageError(
+            f"{' and '.join(named)} {'goes' if len(named) == 1 else 'go'} with --from-scenes only",
+            hint="photos of a board show focal lengths, distance and places of the lenses by themselves: leave it out",
+        )
+
+
+def _scene_options(
+    out: Path, *, baseline_m: float | None, wide_side: str | None, f35: str | None, seed: int
+) -> SceneOptions:
+    from telewide.calibrate_scenes import SceneOptions
     from telewide.capture.facts import MAX_BASELINE_M
+    from telewide.correction.scene_rig import SIDES
 
     if baseline_m is not None and not 0 < baseline_m <= MAX_BASELINE_M:
         raise UsageError(f"--baseline-m {baseline_m:g}: metres were expected, above 0 and at most {MAX_BASELINE_M:g}")
-    options = SceneOptions(baseline_m=baseline_m, f35_mm=_parsed_f35(f35), out=out, seed=seed)
+    side = next((side for side in SIDES if side == wide_side), None)
+    if wide_side is not None and side is None:
+        raise UsageError(f"--wide-side {wide_side}: one of {', '.join(SIDES)} was expected")
+    return SceneOptions(baseline_m=baseline_m, wide_side=side, f35_mm=_parsed_f35(f35), out=out, seed=seed)
+
+
+def _calibrate_scenes(photos: Path | None, options: SceneOptions, *, as_json: bool, quiet: bool) -> None:
+    from telewide.calibrate_scenes import CAPTURES_FOLDER, calibrate_scenes
+
     with _observer(is_quiet=quiet) as observer:
         done = calibrate_scenes(photos or CAPTURES_FOLDER, options=options, observer=observer)
         _say(done.stored, done.notes, observer)
         observer.said(f"rig: {done.rig}")
+        observer.said(f"report: {done.report}")
         _say_next(done.stored, observer)
-    _hand_over(done.stored.quality, {"rig": str(done.rig), **_json_of(done.stored, done.notes)}, as_json=as_json)
+    answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(done.stored, done.notes)}
+    _hand_over(done.stored.quality, answer, as_json=as_json)
 
 
 def _parsed_f35(text: str | None) -> tuple[float, float] | None:

@@ -15,6 +15,7 @@ from photographed_boards import drawn_rig
 from telewide.calibration.rig_file import read_rig
 from telewide.capture.images import write_image
 from telewide.cli import main
+from telewide.correction.scene_quality import ZERO_CHECK, zero_std_px
 from telewide.geometry.rig import Camera, rigid_transform
 
 TEXTURE_WH = (1600, 1200)
@@ -83,6 +84,7 @@ def write_scenes(folder: Path, *, count: int) -> Path:
         (("--f35", "80"), "two numbers"),
         (("--baseline-m", "12"), "metres"),
         (("--board", "chessboard_9x6"), "--from-scenes"),
+        (("--wide-side", "behind"), "left, right, above, below"),
     ],
 )
 def test_wrong_calls(words: tuple[str, ...], named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -90,9 +92,16 @@ def test_wrong_calls(words: tuple[str, ...], named: str, tmp_path: Path, capsys:
     assert named in capsys.readouterr().err
 
 
-def test_options_of_scenes_do_not_go_with_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_cli("calibrate", str(tmp_path), "--baseline-m", "0.012") == 2
-    assert "--from-scenes" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    "words", [("--baseline-m", "0.012"), ("--f35", "80,27"), ("--wide-side", "left"), ("--wide-side", "behind")]
+)
+def test_options_of_scenes_do_not_go_with_a_board(
+    words: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_cli("calibrate", str(tmp_path), *words) == 2
+    told = capsys.readouterr().err
+    assert words[0] in told
+    assert "--from-scenes" in told
 
 
 def test_photos_without_exif_need_their_focal_lengths(
@@ -122,7 +131,35 @@ def test_drawn_scenes_give_the_ratio_and_say_what_they_cannot(
     assert answer["baseline_m"] is None
     assert answer["asymmetry"] == pytest.approx(drawn_rig().asymmetry, rel=0.005)
     assert answer["epipolar_p90_px"] < 0.75 * answer["asymmetry"]
+    assert not answer["scale_verified"]
     stored = read_rig(tmp_path / "rig.yaml")
     assert not stored.rig.is_scale_known
-    assert {"zero of disparity", "focal length against EXIF"} <= {check.name for check in stored.quality.checks}
+    assert {ZERO_CHECK, "tele focal length against EXIF"} <= {check.name for check in stored.quality.checks}
     assert any("relative" in note for note in stored.facts.notes)
+    assert answer["report"] == "rig_report.html"
+    assert f"{answer['epipolar_p90_px']:.2f} tele px" in (tmp_path / "rig_report.html").read_text(encoding="utf-8")
+    assert run_cli("show", "rig.yaml") == 0
+    shown = capsys.readouterr().out
+    assert f"the zero of disparity is known to {zero_std_px(stored.quality):.0f} px only" in shown
+
+
+@pytest.mark.slow
+def test_a_stated_baseline_and_too_few_captures_to_check_by(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_scenes(tmp_path / "captures", count=4)
+    words = ("--f35", f35_of_drawn_rig(), "--baseline-m", "0.012", "--wide-side", "right", "--out", "few.yaml")
+    assert run_cli("calibrate", "--from-scenes", *words, "--json") == 4
+    captured = capsys.readouterr()
+    assert "report: few_report.html" in captured.err
+    answer = json.loads(captured.out)
+    assert answer["verdict"] == "insufficient"
+    assert "Take 2 more captures" in answer["hint"]
+    assert answer["epipolar_p90_px"] is None
+    assert (answer["baseline_m"], answer["baseline_std_m"]) == (pytest.approx(0.012), pytest.approx(0.0005))
+    assert not answer["scale_verified"]
+    std = read_rig(tmp_path / "few.yaml").transform_std
+    assert std is not None
+    assert std.baseline_m == pytest.approx(0.0005)
+    assert "12.00 &plusmn; 0.50 mm" in (tmp_path / "few_report.html").read_text(encoding="utf-8")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +17,23 @@ from numpy.typing import NDArray
 from telewide.correction.epipolar import across_in_wide, epipolar_misfit_px, matching_unit_px, rectified_points
 from telewide.correction.matches import Matches
 from telewide.correction.robust import RobustFit, fit_robustly, numeric_jacobian
-from telewide.errors import InputError
+from telewide.correction.scene_rig import (
+    DIRECTIONS,
+    FocalPrior,
+    SceneRig,
+    SceneStd,
+    Side,
+    SideSource,
+    place_words,
+    scene_notes,
+    stated_baseline_std_m,
+    wide_centre,
+)
+from telewide.errors import InputError, UsageError
 from telewide.geometry.rectification import rectifying_rotation
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 FloatArray = NDArray[np.float64]
-Side = Literal["right", "left", "above", "below"]
-
 MIN_SCENES = 3
 """Fewer captures than this carry no rig."""
 MIN_SCENE_MATCHES = 40
@@ -40,63 +49,9 @@ _SHOT_PRIOR = (4.0, 0.003, 0.005)
 _N_GLOBAL = 9
 _N_SHOT = 3
 _FAR_SHARE = 0.5
-_SIDES: dict[Side, tuple[float, float]] = {"right": (1, 0), "left": (-1, 0), "below": (0, 1), "above": (0, -1)}
+_IMPLAUSIBLE_SIGMAS = 3.0
+_CONTRADICTING_DEG, _SURE_DIRECTION_DEG = 60.0, 10.0
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
-
-
-@dataclass(frozen=True)
-class FocalPrior:
-    """What is known of the focal lengths before any match is looked at.
-
-    Attributes:
-        tele_f_px: of tele, px of its photos.
-        wide_f_px: of wide, px of its photos.
-        tele_std_share: standard deviation over the value.
-        ratio_std_share: standard deviation of ``tele_f / wide_f`` over the value.
-    """
-
-    tele_f_px: float
-    wide_f_px: float
-    tele_std_share: float = 0.05
-    ratio_std_share: float = 0.05
-
-
-@dataclass(frozen=True)
-class SceneStd:
-    """Standard deviations of a rig from scenes.
-
-    Attributes:
-        tele_f_share: of tele's focal length, over its value; that of EXIF, as matches do not show it.
-        ratio_share: of the ratio of the focal lengths, over its value.
-        wide_centre_px: (2,) of wide's principal point, px of its photos.
-        rotation_rad: (3,) of wide's rotation.
-        direction_rad: (2,) of the baseline's direction: in the picture plane, and out of it.
-        zero_px: of the zero of disparity, tele px.
-    """
-
-    tele_f_share: float
-    ratio_share: float
-    wide_centre_px: FloatArray
-    rotation_rad: FloatArray
-    direction_rad: FloatArray
-    zero_px: float
-
-
-@dataclass(frozen=True)
-class SceneRig:
-    """A rig from scenes.
-
-    Attributes:
-        rig: the rig; its scale is known only where the baseline was stated.
-        std: how sure it is.
-        n_scenes: captures that had a say.
-        notes: what a person should know.
-    """
-
-    rig: StereoRig
-    std: SceneStd
-    n_scenes: int
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -206,9 +161,10 @@ def rig_from_scenes(
         tele_hw: height and width of tele's photos.
         wide_hw: height and width of wide's photos.
         focal: what is known of the focal lengths.
-        baseline_m: distance of the lenses where it is known; None leaves the scale open.
-        wide_side: where wide stands, seen in the photos held upright: matches alone hardly tell one side from the
-            other; None takes the likelier.
+        baseline_m: distance of the lenses where it is stated; None leaves the scale open. Its standard deviation is
+            that of :func:`stated_baseline_std_m`.
+        wide_side: the side of tele on which wide stands, as seen from behind the phone with the photos upright:
+            matches alone hardly tell one side from the other; None takes the likelier.
         seed: of the choice among many matches.
 
     Returns:
@@ -216,6 +172,7 @@ def rig_from_scenes(
 
     Raises:
         InputError: fewer than three captures have matches enough.
+        UsageError: wide is stated on a side, and matches show that it stands neither there nor opposite.
     """
     rng = np.random.default_rng(seed)
     telling = tuple(_drawn(m, rng) for m in scenes if len(m) >= MIN_SCENE_MATCHES)
@@ -251,35 +208,41 @@ def _solved(scenes: _Scenes, *, x_rig: FloatArray | None = None) -> RobustFit:
 def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wide_side: Side | None) -> SceneRig:
     solved = scenes.rig(fit.x)
     zero_px = _zero_std_px(fit, scenes)
-    is_backward, is_sure = _is_backward(solved, scenes, zero_px=zero_px)
+    is_backward, is_seen = _is_backward(solved, scenes, zero_px=zero_px)
+    side_source: SideSource = "seen" if is_seen else "guessed"
     if wide_side is not None:
-        wide_centre = -solved.wide_from_tele[:3, :3].T @ solved.wide_from_tele[:3, 3]
-        is_backward, is_sure = bool(wide_centre[:2] @ _SIDES[wide_side] < 0), True
+        is_opposite = _is_opposite(solved, wide_side, direction_std_rad=float(fit.std[7]))
+        side_source = "contradicted" if is_seen and is_opposite != is_backward else "stated"
+        is_backward = is_opposite
     transform = solved.wide_from_tele.copy()
     transform[:3, 3] *= (-1.0 if is_backward else 1.0) * (1.0 if baseline_m is None else baseline_m)
     rig, shift_px = _brought_in_front(StereoRig(solved.tele, solved.wide, transform, baseline_m is not None), scenes)
-    zero_px = float(np.hypot(zero_px, shift_px))
-    notes = []
-    if not is_sure:
-        notes.append("the side of tele wide stands on is a guess: if near and far come out exchanged, it is the other")
-    if zero_px > 1.0:
-        notes.append(f"the zero of disparity is known to {zero_px:.0f} px only: pin it with a known distance")
-    if baseline_m is None:
-        notes.append("the baseline is not known: depth is relative")
-    std = fit.std
-    return SceneRig(
-        rig=rig,
-        std=SceneStd(
-            tele_f_share=float(std[3]),
-            ratio_share=float(std[4]),
-            wide_centre_px=std[5:7],
-            rotation_rad=std[:3],
-            direction_rad=std[7:9],
-            zero_px=zero_px,
-        ),
-        n_scenes=scenes.n,
-        notes=tuple(notes),
+    std = SceneStd(
+        tele_f_share=float(fit.std[3]),
+        ratio_share=float(fit.std[4]),
+        wide_centre_px=fit.std[5:7],
+        rotation_rad=fit.std[:3],
+        direction_rad=fit.std[7:9],
+        zero_px=float(np.hypot(zero_px, shift_px)),
+        baseline_m=0.0 if baseline_m is None else stated_baseline_std_m(baseline_m),
     )
+    found = SceneRig(rig, std, scenes.n, side_source)
+    return replace(found, notes=tuple(scene_notes(found)))
+
+
+def _is_opposite(rig: StereoRig, wide_side: Side, *, direction_std_rad: float) -> bool:
+    """Whether the baseline's sign is to be turned for wide to stand on a side that was stated."""
+    in_plane = wide_centre(rig)[:2]
+    along = float(in_plane @ DIRECTIONS[wide_side] / max(float(np.linalg.norm(in_plane)), 1e-12))
+    is_sure = np.degrees(direction_std_rad) < _SURE_DIRECTION_DEG
+    if is_sure and abs(along) < np.cos(np.radians(_CONTRADICTING_DEG)):
+        angle_deg = np.degrees(np.arctan2(abs(in_plane[1]), abs(in_plane[0])))
+        raise UsageError(
+            f"wide is stated to stand {place_words(wide_side)} tele, but matches show the line through the lenses "
+            f"{angle_deg:.0f} degrees from the photos' rows",
+            hint="name the side as seen from behind the phone, held so that the photos are upright",
+        )
+    return along < 0
 
 
 def _zero_std_px(fit: RobustFit, scenes: _Scenes) -> float:
@@ -307,10 +270,14 @@ def _disparity_px(rig: StereoRig, scenes: _Scenes) -> FloatArray:
 def _is_backward(rig: StereoRig, scenes: _Scenes, *, zero_px: float) -> tuple[bool, bool]:
     """Whether the baseline's sign is to be turned, and whether that can be told at all.
 
-    All disparities are positive in front of the cameras, and something is usually twice as far as something else. Where
-    the zero is not known well enough to say so, what is lower in the photos is taken to be nearer: a guess.
+    All disparities are positive in front of the cameras, so it is seen where only one sign brings them there without
+    moving the zero implausibly far; or where, as usual, something is twice as far as something else. Where the zero is
+    not known well enough for either, what is lower in the photos is taken to be nearer: a guess.
     """
     disparity_px = _disparity_px(rig, scenes)
+    as_is_px, turned_px = np.maximum(0.0, np.percentile(disparity_px, (1, 99)) * (-1, 1))
+    if max(as_is_px, turned_px) > _IMPLAUSIBLE_SIGMAS * zero_px and min(as_is_px, turned_px) < zero_px:
+        return bool(as_is_px > turned_px), True
     low_px, high_px = np.percentile(disparity_px, (5, 95))
     near_px, far_px = (low_px, high_px) if -low_px > high_px else (high_px, low_px)
     if abs(low_px + high_px) > 2 * zero_px and abs(far_px) < _FAR_SHARE * abs(near_px):

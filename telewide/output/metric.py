@@ -6,7 +6,8 @@ in independent errors (standard deviations s)
     s_z^2 = z^2 ((s_B / B)^2 + (s_f / f)^2) + (z^2 / (f B))^2 (s_match^2 + s_shift^2)
 
 `s_match` differs from pixel to pixel. `s_shift` is that of the lens's movement along the baseline, which moves every
-disparity of a shot alike and which no epipolar line shows; with `s_B` and `s_f` it does not average out over pixels.
+disparity of a shot alike and which no epipolar line shows, and of the rig's zero of disparity where it was made without
+a board; with `s_B` and `s_f` it does not average out over pixels.
 Near things are known best: what a pixel of disparity is worth grows with z^2.
 Letters: H W image; N shots.
 """
@@ -39,7 +40,8 @@ class DepthPrecision:
     Attributes:
         baseline_std_m: of the distance of the lenses.
         f_std_px: of tele's focal length, px of the tele photo.
-        lens_shift_std_px: of the movement of the lenses along the baseline, px of the tele photo.
+        lens_shift_std_px: of what shifts all disparities alike, px of the tele photo: the movement of the lenses along
+            the baseline, and what the rig does not know of the zero of disparity.
     """
 
     baseline_std_m: float = 0.0

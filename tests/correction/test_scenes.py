@@ -10,9 +10,10 @@ from telewide.capture.images import read_image
 from telewide.correction.epipolar import moved_rig, vertical_misfit_px
 from telewide.correction.matches import Matches
 from telewide.correction.photo_matches import find_photo_matches
-from telewide.correction.scenes import FocalPrior, first_rig, rig_from_scenes
+from telewide.correction.scene_rig import FocalPrior, stated_baseline_std_m
+from telewide.correction.scenes import first_rig, rig_from_scenes
 from telewide.correction.shot import fit_shot, refined_rig
-from telewide.errors import InputError
+from telewide.errors import InputError, UsageError
 from telewide.geometry.rig import StereoRig
 
 
@@ -44,6 +45,8 @@ def test_a_rig_is_found_from_eight_captures(is_vertical: bool, side: str) -> Non
     assert found.n_scenes == 8
     assert found.rig.baseline_m == pytest.approx(0.012)
     assert found.rig.is_scale_known
+    assert found.std.baseline_m == pytest.approx(0.0005)
+    assert found.wide_side == side
     assert abs(found.rig.asymmetry / rig.asymmetry - 1) < 3 * found.std.ratio_share < 0.02
     assert angle_deg(wide_centre(found.rig), wide_centre(rig)) < 3 * np.degrees(found.std.direction_rad).max()
     assert (np.abs(found.rig.wide.K[:2, 2] - rig.wide.K[:2, 2]) < 3 * found.std.wide_centre_px).all()
@@ -55,6 +58,33 @@ def test_a_rig_is_found_from_eight_captures(is_vertical: bool, side: str) -> Non
     assert shot.residual_after_px < 0.5
     assert np.percentile(left_px, 50) < 0.15
     assert np.percentile(left_px, 99) < 0.5
+
+
+def test_lenses_above_each_other_do_not_stand_side_by_side() -> None:
+    rng = np.random.default_rng(5)
+    rig = phone_rig(is_vertical=True, has_distortion=False)
+    _, matches = captures(rig, rng, n=3)
+    focal = FocalPrior(rig.tele.f_px, rig.wide.f_px)
+    with pytest.raises(UsageError, match="right of tele"):
+        rig_from_scenes(matches, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=focal, wide_side="right")
+
+
+def test_only_one_side_puts_near_things_in_front(rng: np.random.Generator) -> None:
+    rig = phone_rig(has_distortion=False)
+    focal = FocalPrior(rig.tele.f_px, rig.wide.f_px)
+    scenes = []
+    for _ in range(3):  # so near that no principal point explains the shift away
+        near = seen_points(rig, rng, n=200, nearest_m=0.18, farthest_m=0.3)
+        scenes.append(measured(near, rng))
+    found = rig_from_scenes(scenes, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=focal)
+    assert (found.wide_side, found.side_source) == ("right", "seen")
+    stated = rig_from_scenes(scenes, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=focal, wide_side="left")
+    assert (stated.wide_side, stated.side_source) == ("left", "contradicted")
+
+
+@pytest.mark.parametrize(("baseline_m", "std_m"), [(0.009, 0.0005), (0.0123, 0.0005), (0.2, 0.002)])
+def test_a_stated_baseline_is_as_sure_as_a_ruler_is(baseline_m: float, std_m: float) -> None:
+    assert stated_baseline_std_m(baseline_m) == pytest.approx(std_m)
 
 
 def test_without_a_baseline_depth_is_relative(rng: np.random.Generator) -> None:

@@ -1,0 +1,128 @@
+"""What a rig from scenes is: the rig, how sure each part of it is, and what was known before and besides.
+
+Sides are those of the tele photo, held upright: wide stands to the right of tele where its centre has x > 0 in tele's
+frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.geometry.rig import StereoRig
+
+FloatArray = NDArray[np.float64]
+Side = Literal["left", "right", "above", "below"]
+SideSource = Literal["seen", "stated", "guessed", "contradicted"]
+"""Contradicted: stated, and the matches show the opposite."""
+
+SIDES: tuple[Side, ...] = get_args(Side)
+DIRECTIONS: dict[Side, tuple[float, float]] = {"right": (1, 0), "left": (-1, 0), "below": (0, 1), "above": (0, -1)}
+"""Unit vectors of the photo, x right, y down."""
+_STATED_BASELINE_STD_M = 0.0005
+_STATED_BASELINE_STD_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class FocalPrior:
+    """What is known of the focal lengths before any match is looked at.
+
+    Attributes:
+        tele_f_px: of tele, px of its photos.
+        wide_f_px: of wide, px of its photos.
+        tele_std_share: standard deviation over the value.
+        ratio_std_share: standard deviation of ``tele_f / wide_f`` over the value.
+    """
+
+    tele_f_px: float
+    wide_f_px: float
+    tele_std_share: float = 0.05
+    ratio_std_share: float = 0.05
+
+
+@dataclass(frozen=True)
+class SceneStd:
+    """Standard deviations of a rig from scenes.
+
+    Attributes:
+        tele_f_share: of tele's focal length, over its value; that of EXIF, as matches do not show it.
+        ratio_share: of the ratio of the focal lengths, over its value.
+        wide_centre_px: (2,) of wide's principal point, px of its photos.
+        rotation_rad: (3,) of wide's rotation.
+        direction_rad: (2,) of the baseline's direction: in the picture plane, and out of it.
+        zero_px: of the zero of disparity, tele px.
+        baseline_m: of the distance of the lenses, m; 0 where that is not known and so of no length.
+    """
+
+    tele_f_share: float
+    ratio_share: float
+    wide_centre_px: FloatArray
+    rotation_rad: FloatArray
+    direction_rad: FloatArray
+    zero_px: float
+    baseline_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class SceneRig:
+    """A rig from scenes.
+
+    Attributes:
+        rig: the rig; its scale is known only where the baseline was stated.
+        std: how sure it is.
+        n_scenes: captures that had a say.
+        side_source: how the side is known on which wide stands.
+        notes: what a person should know.
+    """
+
+    rig: StereoRig
+    std: SceneStd
+    n_scenes: int
+    side_source: SideSource
+    notes: tuple[str, ...] = ()
+
+    @property
+    def wide_side(self) -> Side:
+        """The side of tele on which the rig has wide, the nearest of the four."""
+        return max(SIDES, key=lambda side: float(wide_centre(self.rig)[:2] @ DIRECTIONS[side]))
+
+
+def stated_baseline_std_m(baseline_m: float) -> float:
+    """Say how sure a stated distance of the lenses is: half a millimetre, or a hundredth of it where that is more.
+
+    It was read off a ruler held against the phone, or off a drawing of its back: the middles of the windows, not where
+    the lenses' entrance pupils lie. How many digits somebody typed says nothing about that.
+    """
+    return max(_STATED_BASELINE_STD_M, _STATED_BASELINE_STD_SHARE * baseline_m)
+
+
+def scene_notes(found: SceneRig) -> Iterator[str]:
+    """What a person should know of a rig from scenes, one sentence each."""
+    if found.side_source == "guessed":
+        yield (
+            f"wide is taken to stand {place_words(found.wide_side)} tele, a guess: if near and far come out "
+            "exchanged, it is the opposite; state it with --wide-side"
+        )
+    if found.std.zero_px > 1.0:
+        yield f"the zero of disparity is known to {found.std.zero_px:.0f} px only: pin it with a known distance"
+    if found.rig.is_scale_known:
+        yield (
+            f"the baseline is {found.rig.baseline_m * 1e3:g} mm because that was stated; no photo shows it, and it is "
+            f"taken to be known to {found.std.baseline_m * 1e3:.1g} mm"
+        )
+    else:
+        yield "the baseline is not known: depth is relative"
+
+
+def place_words(side: Side) -> str:
+    """A side in words that "tele" may follow: "left of"."""
+    return side if side in ("above", "below") else f"{side} of"
+
+
+def wide_centre(rig: StereoRig) -> FloatArray:
+    """(3,) where wide stands in tele's frame, in the unit of the rig."""
+    return np.asarray(-rig.wide_from_tele[:3, :3].T @ rig.wide_from_tele[:3, 3])

@@ -1,0 +1,248 @@
+"""The page about a rig from scenes: can it be trusted, what can it not know, and what to photograph next.
+
+One file that opens offline, kin to the page about a board's calibration. Every figure says in its caption what good
+looks like. Letters: N matches of a capture.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.calibration.quality import CalibrationQuality, Check
+from telewide.capture.rundir import write_text
+from telewide.correction.matches import Matches
+from telewide.correction.scene_rig import SceneRig, SideSource
+from telewide.geometry.stereo import FloatMap
+from telewide.output.charts import CHART_STYLE, Bar, bar_list, coverage_chart
+from telewide.output.report import (
+    NextStep,
+    facts_html,
+    next_step_html,
+    page_html,
+    picture_html,
+    section_html,
+    thumbnail,
+)
+from telewide.output.rig_figures import cell_counts, tele_outline_px
+from telewide.output.rig_report import scan_lines_picture
+from telewide.output.scenes_depth import scenes_depth_html
+
+FloatArray = NDArray[np.float64]
+
+_COVERAGE_CELLS = (6, 8)
+_MAX_DOTS = 4000
+_PAIR_LONGEST_PX = 1448
+_VERDICTS = {
+    "good": "Good: every check passed.",
+    "usable": "Usable: it works, within what the warnings below say it cannot know.",
+    "insufficient": "Not good enough: depth from this rig cannot be trusted. Below is what to photograph next.",
+}
+_SIDE_WORDS: dict[SideSource, str] = {
+    "seen": "matches: only so is everything in front of the lenses",
+    "stated": "stated",
+    "guessed": "a guess: state it with --wide-side",
+    "contradicted": "stated; the matches contradict it",
+}
+_STYLE = """
+.verdict { border-left: 6px solid var(--faint); padding: .4rem .9rem; margin: .8rem 0; font-size: 1.05rem; }
+.good { border-color: var(--good); } .usable { border-color: var(--warn); } .insufficient { border-color: var(--bad); }
+.mark { font-weight: 600; } .mark.pass { color: var(--good); } .mark.warn { color: var(--warn); }
+.mark.fail { color: var(--bad); }
+td.words, th.words { text-align: left; white-space: normal; max-width: 60ch; }
+"""
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """One capture in a rig from scenes.
+
+    Attributes:
+        name: of the capture.
+        matches: those that agree with the rig, px of the photos.
+        n_found: how many were found.
+        errors_px: (N,) row errors with a rig that did not see this capture, tele px; empty where none did.
+        is_used: whether it had a say.
+    """
+
+    name: str
+    matches: Matches
+    n_found: int
+    errors_px: FloatArray
+    is_used: bool
+
+
+def write_scenes_report(
+    path: Path,
+    found: SceneRig,
+    *,
+    quality: CalibrationQuality,
+    views: Sequence[SceneView],
+    facts: Mapping[str, str],
+    next_steps: Sequence[NextStep] = (),
+    rectified: tuple[str, FloatMap, FloatMap] | None = None,
+) -> Path:
+    """Write the report of a rig from scenes as one HTML file.
+
+    Args:
+        path: of the file.
+        found: the rig and how sure it is.
+        quality: what it is worth.
+        views: every capture.
+        facts: where it comes from: captures, version.
+        next_steps: commands worth running now.
+        rectified: name, tele and wide of a rectified pair of one size, (H, W, 3) RGB in [0, 1]; None leaves it out.
+
+    Returns:
+        The path.
+    """
+    sections = [
+        "<h1>A wide and a tele lens, from captures without a board</h1>",
+        f'<p class="verdict {quality.verdict}">{_VERDICTS[quality.verdict]}<br>{_summary(found, views)}</p>',
+        section_html("Checks", _checks_html(quality.checks)),
+        section_html("What next", _advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
+        section_html("The rig", _rig_html(found)),
+        section_html("Where the matches lie", "".join(_coverage_figures(found, views)), css_class="charts"),
+        section_html("Held-out epipolar error", _error_figures(quality, views), css_class="charts"),
+        section_html("Depth error", scenes_depth_html(found)),
+        section_html("A rectified pair", _rectified_html(rectified)),
+        section_html("Made by", facts_html(facts)),
+    ]
+    write_text(path, page_html("Rig from captures", sections, extra_style=CHART_STYLE + _STYLE))
+    return path
+
+
+def _summary(found: SceneRig, views: Sequence[SceneView]) -> str:
+    rig, std = found.rig, found.std
+    words = [
+        f"{sum(view.is_used for view in views)} of {len(views)} captures had matches enough",
+        f"tele is {rig.asymmetry:.3f} &plusmn; {rig.asymmetry * std.ratio_share:.3f} times as long as wide",
+        f"the zero of disparity is known to {std.zero_px:.0f} tele px",
+        _baseline_words(found),
+    ]
+    return "; ".join(words) + "."
+
+
+def _baseline_words(found: SceneRig) -> str:
+    if not found.rig.is_scale_known:
+        return "the distance of the lenses is not known, so depth is relative"
+    baseline_mm, std_mm = found.rig.baseline_m * 1e3, found.std.baseline_m * 1e3
+    return f"lenses {baseline_mm:.2f} &plusmn; {std_mm:.2f} mm apart, as stated"
+
+
+def _checks_html(checks: Sequence[Check]) -> str:
+    rows = "".join(
+        f'<tr><td><span class="mark {check.status}">{check.status}</span></td>'
+        f'<td class="words">{html.escape(check.name)}</td><td>{html.escape(check.found_words)}</td>'
+        f'<td>{html.escape(check.limit_words)}</td><td class="words">{html.escape(check.advice)}</td></tr>\n'
+        for check in checks
+    )
+    names = ("check", "found", "limit", "advice")
+    head = "".join(f'<th class="{"" if name in names[1:3] else "words"}">{name}</th>' for name in names)
+    return (
+        f'<div class="scroll"><table><thead><tr><th>result</th>{head}</tr></thead>\n<tbody>{rows}</tbody></table></div>'
+    )
+
+
+def _advice_html(checks: Sequence[Check]) -> str:
+    worst_first = sorted((check for check in checks if check.advice), key=lambda check: check.status != "fail")
+    items = "".join(f"<li>{html.escape(check.advice)}</li>" for check in worst_first)
+    return f"<ol>{items}</ol>" if items else ""
+
+
+def _rig_html(found: SceneRig) -> str:
+    rows = "".join(
+        f'<tr><th scope="row">{name}</th><td>{value}</td><td>{std}</td><td class="words">{source}</td></tr>\n'
+        for name, value, std, source in _rig_rows(found)
+    )
+    head = '<tr><th></th><th>value</th><th>&plusmn;</th><th class="words">what it rests on</th></tr>'
+    table = f"<table><thead>{head}</thead>\n<tbody>{rows}</tbody></table>"
+    note = (
+        "&plusmn; is one standard deviation. Lens distortion is taken as corrected by the phone, and tele's principal "
+        "point as the middle of its photo."
+    )
+    return f'<div class="scroll">{table}</div><p class="faint">{note}</p>'
+
+
+def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
+    rig, std = found.rig, found.std
+    wide_share = math.hypot(std.tele_f_share, std.ratio_share)
+    f_px = (rig.tele.f_px, rig.wide.f_px)
+    from_exif = "EXIF or as stated; matches hardly show it"
+    yield "f_tele / f_wide", f"{rig.asymmetry:.4f}", f"{rig.asymmetry * std.ratio_share:.4f}", "matches"
+    yield "focal length of tele", f"{f_px[0]:.0f} px", f"{f_px[0] * std.tele_f_share:.0f} px", from_exif
+    yield "focal length of wide", f"{f_px[1]:.0f} px", f"{f_px[1] * wide_share:.0f} px", from_exif
+    cx, cy = rig.wide.K[:2, 2]
+    cx_std, cy_std = std.wide_centre_px
+    source = "matches across the lenses' line, the photo's middle along it"
+    yield "principal point of wide", f"{cx:.1f}, {cy:.1f} px", f"{cx_std:.1f}, {cy_std:.1f} px", source
+    turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (np.trace(rig.wide_from_tele[:3, :3]) - 1) / 2))))
+    largest_deg = math.degrees(float(std.rotation_rad.max()))
+    yield "turn between the lenses", f"{turn_deg:.2f} degrees", f"{largest_deg:.2f} degrees", "matches"
+    direction_deg = math.degrees(float(std.direction_rad[0]))
+    side, source = found.wide_side, _SIDE_WORDS[found.side_source]
+    yield "side of wide, from behind", side, f"{direction_deg:.1f} degrees", source
+    if rig.is_scale_known:
+        baseline_mm, std_mm = rig.baseline_m * 1e3, std.baseline_m * 1e3
+        yield "distance of the lenses", f"{baseline_mm:.2f} mm", f"{std_mm:.2f} mm", "stated; no match shows it"
+    else:
+        yield "distance of the lenses", "not known", "-", "nobody stated it, and no match shows it"
+    source = "that principal points lie near the photos' middles; no match shows it"
+    yield "zero of disparity", "0 tele px", f"{std.zero_px:.0f} tele px", source
+
+
+def _coverage_figures(found: SceneRig, views: Sequence[SceneView]) -> Iterator[str]:
+    used = [view for view in views if view.is_used]
+    n_found, n_agreeing = sum(view.n_found for view in used), sum(len(view.matches) for view in used)
+    said = f"{n_agreeing} of {n_found} matches in {len(used)} captures agree with the rig. "
+    advice = {
+        "tele": "Good: all cells filled. Empty ones are where nobody knows how well the rig holds.",
+        "wide": "The outline is what tele sees of far things; near ones lie beside it.",
+    }
+    for lens, camera in (("tele", found.rig.tele), ("wide", found.rig.wide)):
+        sides = [view.matches.ref_px if lens == "tele" else view.matches.src_px for view in used]
+        points_px = np.concatenate([np.zeros((0, 2)), *sides])
+        yield coverage_chart(
+            points_px[:: -(-len(points_px) // _MAX_DOTS) or 1],
+            cell_counts(points_px, hw=camera.hw, cells=_COVERAGE_CELLS),
+            hw=camera.hw,
+            caption=f"{lens}: {said}{advice[lens]}",
+            outline_px=tele_outline_px(found.rig) if lens == "wide" else None,
+        )
+
+
+def _error_figures(quality: CalibrationQuality, views: Sequence[SceneView]) -> str:
+    if not math.isfinite(quality.epipolar_p90_px):
+        return "<p>Nothing was held out: too few captures for two rigs that judge each other's captures.</p>"
+    named = (
+        ("median", quality.epipolar_p50_px),
+        ("90 % are below", quality.epipolar_p90_px),
+        ("99 % are below", quality.epipolar_p99_px),
+    )
+    limit = next((check.limit for check in quality.checks if "epipolar" in check.name), None)
+    caption = (
+        "How far matches lie from the row that the other photo says they are on, in captures that the rig was solved "
+        "without, each corrected for its own lens movement. This is the row error that stereo matching will meet. "
+        "Dashed: limit for 90 %."
+    )
+    whole = bar_list([Bar(*each) for each in named], unit="tele px", caption=caption, limit=limit)
+    each = [Bar(v.name, float(np.percentile(v.errors_px, 90)) if len(v.errors_px) else math.nan) for v in views]
+    caption = (
+        "The same for every capture: 90 % of its held-out matches are below. A dash: too few matches. Good: all "
+        "captures alike; a long one had something moving, or photos taken one after the other."
+    )
+    return whole + bar_list(each, unit="tele px", caption=caption, limit=limit)
+
+
+def _rectified_html(rectified: tuple[str, FloatMap, FloatMap] | None) -> str:
+    if rectified is None:
+        return "<p>This rig cannot rectify a pair.</p>"
+    name, tele, wide = rectified
+    label = f"tele and wide of {name} after rectification. Good: whatever lies on a line in one lies on it in the other"
+    return picture_html(thumbnail(label, scan_lines_picture(tele, wide), longest_px=_PAIR_LONGEST_PX), name)
