@@ -135,7 +135,8 @@ def _say_done(plan: ImportPlan, captures: Path, *, is_dry: bool) -> None:
     if plan.unpaired:
         typer.echo(f"left out: {len(plan.unpaired)}", err=True)
     if not is_dry and plan.pairs:
-        typer.echo(f"next: telewide calibrate, or telewide train {captures}", err=True)
+        typer.echo("next: telewide calibrate boards/  (photos of a board, taken with both lenses)", err=True)
+        typer.echo(f"  or without a board: telewide calibrate {captures} --from-scenes", err=True)
 
 
 def _json_of(plan: ImportPlan, captures: Path, *, is_dry: bool) -> dict[str, object]:

@@ -34,7 +34,7 @@ from telewide.output.bokeh_picture import BokehOptions, check_bokeh
 from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
 from telewide.output.metric import DepthPrecision
 from telewide.page import report_row, write_page
-from telewide.prepare import PreparedPair, PreparedSet, prepare_captures
+from telewide.prepare import PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.training.processes import Processes, joined_processes
 
@@ -206,6 +206,7 @@ def _begun(
 ) -> Iterator[_Call]:
     folder, captures = locate_run(run, captures_root), find_captures(captures_root)
     found_rig = locate_rig(rig, captures)
+    refuse_without_rig(captures, rig=found_rig)
     with joined_processes(device) as processes:
         yield _Call(captures, folder, recipe, device, processes, observer, found_rig)
 

@@ -24,6 +24,7 @@ from telewide.align import Alignment, align_photos, alignment_as_json, alignment
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
+from telewide.capture.importer import is_imported
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
@@ -40,10 +41,6 @@ from telewide.training.samples import LABELS_NAME
 
 FORMAT = 4
 SHOT_NAME = "shot.json"
-_NO_CAPTURE_LEFT = {
-    True: "mend the captures named above; photos as they were taken need a rig first: telewide calibrate",
-    False: "mend the captures named above",
-}
 LABEL_CONFIDENCE = 0.5
 
 
@@ -95,7 +92,13 @@ class PreparedSet:
         Raises:
             InputError: nothing states them, and there are too few matches to measure them.
         """
-        return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
+        try:
+            return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
+        except InputError as error:
+            if self.rig is not None or self.facts.rectified:
+                raise
+            hint = f"photos as they were taken need a rig, {_how_to_calibrate(Path('CAPTURES'))}; or {error.hint}"
+            raise InputError(error.message, hint=hint) from error
 
     @property
     def damage_factor(self) -> tuple[float, float] | None:
@@ -105,6 +108,32 @@ class PreparedSet:
 
 
 Tick = Callable[[PairReport | None], None]
+
+
+def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:
+    """Stop before anything is computed where photos straight from a phone have no rig.
+
+    Args:
+        captures: what was found.
+        rig: what there is to rectify with.
+
+    Raises:
+        InputError: all captures were imported, no rig lies by them, and nobody states that they are rectified.
+    """
+    folders = [capture.tele_path.parent for capture in captures.captures]
+    if rig is None and not captures.facts.rectified and folders and all(map(is_imported, folders)):
+        raise InputError(
+            f"{captures.root} holds photos as the phone took them, and no rig.yaml lies by them to rectify them with",
+            hint=f"{_how_to_calibrate(captures.root)}; if they are rectified, state rectified: true in "
+            f"{captures.root / 'captures.yaml'}",
+        )
+
+
+def _how_to_calibrate(root: Path) -> str:
+    return (
+        "calibrate first: telewide calibrate boards/ from photos of a board, or without a board: "
+        f"telewide calibrate {root} --from-scenes"
+    )
 
 
 def prepare_captures(
@@ -142,7 +171,10 @@ def prepare_captures(
             tick(prepared.report if prepared is not None else None)
     if not pairs:
         lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
-        raise InputError(f"{captures.root}: no capture can be used{lines}", hint=_NO_CAPTURE_LEFT[rig is None])
+        hint = "mend the captures named above"
+        if rig is None and not captures.facts.rectified:
+            hint += f"; photos as they were taken need a rig, {_how_to_calibrate(captures.root)}"
+        raise InputError(f"{captures.root}: no capture can be used{lines}", hint=hint)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
 
 

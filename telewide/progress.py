@@ -67,17 +67,20 @@ class ConsoleObserver:
         self.close()
         if self.shows_table and not self.is_quiet:
             self.console.print(captures_table([pair.report for pair in prepared.pairs]))
-            self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
         for pair in prepared.pairs:
             for reason in pair.report.reasons:
                 self.said(f"{pair.report.verdict}: {pair.report.name}: {reason}")
         self._warn(prepared.problems)
+        if self.shows_table and not self.is_quiet:  # what was left out is known by now, should no window be found
+            self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
         if prepared.facts.rectified is None and prepared.rig is None and not self.is_quiet:
-            worst_px = max((abs(pair.report.vertical_residual_px) for pair in prepared.pairs), default=math.nan)
+            rows_px = [abs(pair.report.vertical_residual_px) for pair in prepared.pairs]
+            worst_px = max((row_px for row_px in rows_px if math.isfinite(row_px)), default=math.nan)
+            rows = f"rows disagreed by up to {worst_px:.1f} px (median of a pair) before correction"
             self._line(
-                f"note: nothing states that these captures are rectified; rows disagreed by up to {worst_px:.1f} px "
-                "(median of a pair) before correction. State rectified: true in captures.yaml if they are; "
-                "make a rig if they are not: telewide calibrate",
+                "note: nothing states that these captures are rectified; "
+                f"{rows if math.isfinite(worst_px) else 'matches are too few to see it'}. State rectified: true in "
+                "captures.yaml if they are; make a rig if they are not: telewide calibrate",
             )
 
     def labelling(self, total: int) -> Callable[[], None]:

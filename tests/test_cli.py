@@ -9,9 +9,12 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from capture.roll import TELE, WIDE, exif_of, write_photo
 
+from telewide.capture.images import write_image
 from telewide.cli import main
 from telewide.simulate.captures import write_captures
 
@@ -88,6 +91,38 @@ def test_captures_that_do_not_exist(
     monkeypatch.chdir(tmp_path)
     refused(capsys, command, "nowhere", code=2, names=("nowhere does not exist",))
     refused(capsys, command, code=2, names=("captures does not exist",))
+
+
+@pytest.mark.parametrize("words", [("train",), ("depth",), ("depth", "--method", "sgm"), ("run",)])
+def test_photos_straight_from_a_phone_are_calibrated_first(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, lens, second in (("T1", TELE, 0.0), ("W1", WIDE, 1.3)):
+        write_photo(tmp_path / "DCIM" / f"{name}.jpg", exif=exif_of(**lens, second=second))  # type: ignore[arg-type]
+    monkeypatch.chdir(tmp_path)
+    assert run_cli("import", "DCIM", "captures", "--quiet") == 0
+    names = (
+        "no rig.yaml",
+        "telewide calibrate boards/",
+        "telewide calibrate captures --from-scenes",
+        "rectified: true",
+    )
+    refused(capsys, *words, code=3, names=names)
+    assert not Path("run").exists()
+    Path("captures/captures.yaml").write_text("rectified: true\n")
+    assert run_cli(*words) != 0  # tiny photos, but they are looked at
+    assert "no rig.yaml" not in capsys.readouterr().err
+
+
+def test_pairs_without_matches_and_without_a_rig_are_sent_to_the_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    for name in ("tele", "wide"):
+        write_image(tmp_path / "captures" / "one" / f"{name}.png", rng.random((120, 160, 3)).astype(np.float32))
+    monkeypatch.chdir(tmp_path)
+    names = ("telewide calibrate CAPTURES --from-scenes", "one: 0 consistent matches")
+    for words in (("depth", "--method", "sgm"), ("run", "--recipe", "quick")):
+        refused(capsys, *words, code=3, names=names)
 
 
 def test_unknown_recipe_names_the_nearest(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -121,6 +121,15 @@ def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick
             tick(done, len(plan.pairs))
 
 
+def is_imported(folder: Path) -> bool:
+    """Whether a capture folder was made by an import: its photos are as the phone took them."""
+    try:
+        record = json.loads((folder / PAIR_FILE).read_text(encoding="utf-8"))
+        return "seconds_apart" in record
+    except (OSError, ValueError, TypeError):  # no record, or one of something else
+        return False
+
+
 def _photo_files(dcim: Path, captures: Path) -> list[Path]:
     """Return the photos below a folder, without those in the capture folder and without hidden ones."""
     if not dcim.exists():
