@@ -44,12 +44,16 @@ _CURTAIN = (0.36, 0.35, 0.33)
 _PLACE_ERROR_SQUARES = 1e-3
 
 
-def phone_rig(rng: np.random.Generator, *, hw: tuple[int, int]) -> StereoRig:
+def phone_rig(
+    rng: np.random.Generator, *, hw: tuple[int, int], baseline_m: float = BASELINE_M, is_vertical: bool = False
+) -> StereoRig:
     """Draw a phone: both photos of one size, the tele lens seeing a third of what the wide one sees.
 
     Args:
         rng: source of all draws.
         hw: height and width of both photos.
+        baseline_m: from one lens to the other, along the picture plane.
+        is_vertical: whether the lenses stand above one another.
     """
     height, width = hw
 
@@ -60,8 +64,8 @@ def phone_rig(rng: np.random.Generator, *, hw: tuple[int, int]) -> StereoRig:
         return Camera(hw, K, np.array([k1, 0.0, 0.0, 0.0, 0.0]))
 
     tele, wide = camera(TELE_SHARE, 0.08), camera(WIDE_SHARE, -0.06)
-    angle_rad = float(rng.normal(0, 0.1))
-    to_wide_m = -BASELINE_M * np.array([math.cos(angle_rad), math.sin(angle_rad), 0.02])
+    angle_rad = float(rng.normal(0, 0.1)) + (math.pi / 2 if is_vertical else 0.0)
+    to_wide_m = -baseline_m * np.array([math.cos(angle_rad), math.sin(angle_rad), 0.02])
     turn_rad = rng.normal(0, math.radians(0.6), 3)
     return StereoRig(tele, wide, rigid_transform(rotation=turn_rad, translation=to_wide_m))
 
@@ -106,14 +110,14 @@ def write_phone(
     rig = phone_rig(np.random.default_rng(rig_seed), hw=(width * 2 // 3, width))
     for number, child in enumerate(board_seed.spawn(boards)):
         rng = np.random.default_rng(child)
-        tele_from_board = _board_pose(rng, rig, number=number)
+        tele_from_board = board_pose(rng, rig, number=number)
         place = folder / "boards" / f"{number:03d}"
-        for name, camera, camera_from_tele in _lenses(rig):
+        for name, camera, camera_from_tele in lenses_of(rig):
             photo = _photo_of_board(camera, camera_from_tele @ tele_from_board)
             write_image(place / f"{name}.jpg", _developed(photo, rng, is_wide=name == "wide", cast=cast), quality=95)
     for number, child in enumerate(capture_seed.spawn(captures)):
         rng = np.random.default_rng(child)
-        moved = _moved(rng, rig)  # drawn in any case: what is drawn after it stays the same
+        moved = moved_rig(rng, rig)  # drawn in any case: what is drawn after it stays the same
         place = folder / "captures" / f"{number:03d}"
         hidden = _write_still_life(
             place, rng, moved if moves else rig, depths_m=depths_m[number % len(depths_m)], cast=cast
@@ -131,11 +135,12 @@ def write_phone(
     return rig
 
 
-def _lenses(rig: StereoRig) -> tuple[tuple[str, Camera, FloatArray], ...]:
+def lenses_of(rig: StereoRig) -> tuple[tuple[str, Camera, FloatArray], ...]:
+    """Name, camera and (4, 4) camera_from_tele of both lenses."""
     return ("tele", rig.tele, np.eye(4)), ("wide", rig.wide, rig.wide_from_tele)
 
 
-def _board_pose(rng: np.random.Generator, rig: StereoRig, *, number: int) -> FloatArray:
+def board_pose(rng: np.random.Generator, rig: StereoRig, *, number: int) -> FloatArray:
     """(4, 4) tele from board: tilted by 15 to 40 degrees in changing directions, filling about half of tele."""
     size_m = np.array(BOARD_CORNERS) * BOARD_SQUARE_M
     fill = float(rng.uniform(0.5, 0.7))
@@ -191,7 +196,7 @@ def _write_still_life(
     return _seen_by_tele(views.occluded.astype(np.float32), geometry)
 
 
-def _moved(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
+def moved_rig(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
     """What a shot does to a rig: stabilisation shifts wide in its picture plane, focus changes its focal length."""
     K = rig.wide.K.copy()
     K[:2, :2] *= 1 + rng.normal(0, 0.002)
