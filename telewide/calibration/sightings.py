@@ -91,6 +91,11 @@ def square_px(points_px: FloatArray) -> float:
 def _unfit_reason(view: BoardView, *, hw: tuple[int, int], board_points_m: FloatArray, name: str) -> str:
     if len(view.ids) and not (view.ids.min() >= 0 and view.ids.max() < len(board_points_m)):
         raise ValueError(f"corner ids reach {view.ids.max()}; the board has {len(board_points_m)} corners")
+    if view.hw == hw[::-1]:
+        return (
+            f"the photo is turned: {view.hw[1]} x {view.hw[0]} px, but most {name} photos are {hw[1]} x {hw[0]}; hold "
+            "the phone alike for all board photos, and turn the board instead"
+        )
     if view.hw != hw:
         return f"{view.hw[1]} x {view.hw[0]} px, but most {name} photos have {hw[1]} x {hw[0]}"
     if len(view.ids) < MIN_CORNERS:

@@ -34,6 +34,7 @@ MAX_TILT_DEG = 45.0
 """How far the baseline may point out of the picture plane."""
 _MAX_VIEW_DEG = 75.0  # between the optical axis of a rectified view and the border of the tele photo
 _BORDER_POINTS = 256  # on each side of the photo: the border is curved by distortion
+_SAME_SHAPE = 0.01
 _WHOLE_PX = 1e-3  # a canvas this much larger than whole pixels is rounded down
 
 
@@ -210,8 +211,38 @@ def rig_at_sizes(rig: StereoRig, *, tele_hw: tuple[int, int], wide_hw: tuple[int
     Raises:
         InputError: a photo has another shape than the camera's: it was turned or cropped.
     """
+    _refuse_turned({"tele": (rig.tele, tele_hw), "wide": (rig.wide, wide_hw)})
     tele, wide = _camera_at_size("tele", rig.tele, tele_hw), _camera_at_size("wide", rig.wide, wide_hw)
     return replace(rig, tele=tele, wide=wide)
+
+
+def _refuse_turned(views: dict[str, tuple[Camera, tuple[int, int]]]) -> None:
+    """Say of photos in portrait and a calibration in landscape, or the reverse, that this is what is wrong."""
+    turned = [name for name, (camera, hw) in views.items() if _is_turned(camera, hw)]
+    if not turned:
+        return
+    camera, hw = views[turned[0]]
+    sizes = f"{turned[0]} is {_size(hw)}, the rig was made with {_size(camera.hw)}"
+    if len(turned) == len(views):
+        raise InputError(
+            f"both photos are turned by 90 degrees against the calibration: {sizes}",
+            hint="hold the phone as for the photos the rig was made from, or make another rig from photos taken so",
+        )
+    (other,) = views.keys() - set(turned)
+    raise InputError(
+        f"the {turned[0]} photo is turned by 90 degrees against the {other} photo and against the calibration: {sizes}",
+        hint=f"photograph both in one position of the phone, or turn {turned[0]} back without loss, as {other} lies",
+    )
+
+
+def _is_turned(camera: Camera, hw: tuple[int, int]) -> bool:
+    """Whether a photo has the camera's shape with width and height exchanged, at any size."""
+    is_square = abs(camera.hw[0] / camera.hw[1] - 1) < _SAME_SHAPE
+    return not is_square and abs(hw[0] / camera.hw[1] - hw[1] / camera.hw[0]) < _SAME_SHAPE
+
+
+def _size(hw: tuple[int, int]) -> str:
+    return f"{hw[1]} x {hw[0]} px"
 
 
 def _camera_at_size(name: str, camera: Camera, hw: tuple[int, int]) -> Camera:
@@ -220,11 +251,9 @@ def _camera_at_size(name: str, camera: Camera, hw: tuple[int, int]) -> Camera:
     scales = sorted((hw[0] / camera.hw[0], hw[1] / camera.hw[1]))
     # Both sides are the same multiple but for rounding to whole pixels.
     if (scales[1] - scales[0]) * max(camera.hw) > 1.5 * max(1.0, scales[1]):
-        is_turned = abs(hw[0] / camera.hw[1] - hw[1] / camera.hw[0]) < 0.01
         raise InputError(
-            f"the {name} photo is {hw[1]} x {hw[0]} px; the rig was calibrated with photos of {camera.hw[1]} x "
-            f"{camera.hw[0]} px",
-            hint="hold the phone as for the board photos" if is_turned else "use photos as they were taken, uncropped",
+            f"the {name} photo is {_size(hw)}; the rig was calibrated with photos of {_size(camera.hw)}",
+            hint="use photos as they were taken, uncropped",
         )
     return camera.resized((int(hw[0]), int(hw[1])))
 

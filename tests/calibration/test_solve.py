@@ -238,7 +238,7 @@ def test_a_photo_of_another_size_is_left_out_with_the_reason(world: World, shots
     found = calibrated(world, [odd, *shots[1:]])
     view = next(each for each in found.views if each.shot == odd.name and each.camera == "tele")
     assert not view.is_used
-    assert "3000 x 4000" in view.reason
+    assert "the photo is turned: 3000 x 4000" in view.reason
     assert next(each for each in found.views if each.shot == odd.name and each.camera == "wide").is_used
 
 

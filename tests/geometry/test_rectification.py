@@ -138,11 +138,26 @@ def test_photos_of_another_size_and_shape() -> None:
     assert halved.tele.f_px == pytest.approx(rig.tele.f_px / 2)
     assert halved.wide is rig.wide
     assert rig_at_sizes(rig, tele_hw=(1008, 1344), wide_hw=(817, 1089)).wide.hw == (817, 1089)
-    with pytest.raises(InputError, match="4032 x 3024") as turned:
-        rig_at_sizes(rig, tele_hw=(4032, 3024), wide_hw=(3264, 2448))
-    assert turned.value.hint == "hold the phone as for the board photos"
     with pytest.raises(InputError, match="wide photo is 3264 x 1836"):
         rig_at_sizes(rig, tele_hw=(3024, 4032), wide_hw=(1836, 3264))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_photos_in_portrait_and_a_rig_in_landscape(scale: float) -> None:
+    """The sizes are exchanged, the names of who is turned are right, and the way out is named."""
+    rig = phone()
+    upright = {"tele": (4032, 3024), "wide": (3264, 2448)}
+    tele_hw, wide_hw = (tuple(int(scale * side) for side in upright[name]) for name in ("tele", "wide"))
+    with pytest.raises(InputError, match="both photos are turned by 90 degrees against the calibration") as both:
+        rig_at_sizes(rig, tele_hw=tele_hw, wide_hw=wide_hw)
+    assert f"{tele_hw[1]} x {tele_hw[0]} px" in both.value.message
+    assert "4032 x 3024 px" in both.value.message
+    assert "hold the phone as for the photos the rig was made from" in (both.value.hint or "")
+    with pytest.raises(InputError, match="the wide photo is turned by 90 degrees against the tele photo") as one:
+        rig_at_sizes(rig, tele_hw=rig.tele.hw, wide_hw=wide_hw)
+    assert "turn wide back" in (one.value.hint or "")
+    with pytest.raises(InputError, match="the tele photo is turned by 90 degrees against the wide photo"):
+        rig_at_sizes(rig, tele_hw=tele_hw, wide_hw=rig.wide.hw)
 
 
 @pytest.mark.parametrize(
