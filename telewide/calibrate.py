@@ -114,6 +114,9 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
     chosen = _chosen_board(shots, options, observer)
     tick = observer.detecting(len(shots))
     detected = detect_shots(shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes)
+    n_tele = sum(shot.tele is not None for shot in detected)
+    n_wide = sum(shot.wide is not None for shot in detected)
+    observer.said(f"board found in {n_tele} tele and {n_wide} wide photos; calibrating")
     refuse_exchanged(shots, detected)
     calibration = calibrate_rig(detected, board_points_m=board_points_m(chosen.board), seed=options.seed)
     notes = (

@@ -104,6 +104,7 @@ def test_the_page_shows_every_shot_and_a_rectified_pair(done: CalibrationRun) ->
 def test_progress_is_told_shot_by_shot(done: CalibrationRun, heard: Listener) -> None:
     assert (heard.announced, heard.done) == (N_SHOTS, N_SHOTS)
     assert any(BOARD in line for line in heard.lines)
+    assert heard.lines[-1] == f"board found in {N_SHOTS} tele and {N_SHOTS} wide photos; calibrating"
 
 
 def test_without_a_measured_square_metres_are_nominal_and_said_to_be(boards: Path, tmp_path: Path) -> None:
