@@ -23,6 +23,7 @@ from telewide.cli_benchmark import benchmark_app
 from telewide.cli_board import board
 from telewide.cli_calibrate import CALIBRATE_EPILOG, SHOW_EPILOG, calibrate, show
 from telewide.cli_import import IMPORT_EPILOG, import_photos
+from telewide.cli_simulate import SIMULATE_EPILOG, simulate
 from telewide.errors import TelewideError, UsageError
 from telewide.stopping import INTERRUPTED, terminable
 from telewide.training.processes import this_process
@@ -219,33 +220,7 @@ def run_everything(
         _print_json({**_json_of_depth(done), "report": str(done.report)})
 
 
-@app.command(epilog="Example: `telewide simulate my-captures --captures 12 --seed 3`")
-def simulate(
-    out: Annotated[Path, typer.Argument(help="Folder to write captures into.")],
-    *,
-    captures: Annotated[int, typer.Option(help="How many captures.")] = 10,
-    seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
-    width: Annotated[int, typer.Option(help="Width of tele, px.")] = 384,
-    height: Annotated[int, typer.Option(help="Height of tele, px.")] = 256,
-    factor: Annotated[float, typer.Option(help="How many times fewer pixels wide has along each side.")] = 3.0,
-    scene: Annotated[str, typer.Option(metavar="still-life|random", help="What is photographed.")] = "still-life",
-    phone: Annotated[
-        bool, typer.Option("--phone", help="Photos as a phone takes them, not rectified, and photos of a board.")
-    ] = False,
-) -> None:
-    """Write captures of a simulated world, with exact disparity beside them."""
-    if phone:
-        from telewide.simulate.phone import write_phone
-
-        write_phone(out, captures=captures, seed=seed, width=width)
-        typer.echo(f"wrote {captures} captures and photos of a board to {out}", err=True)
-        typer.echo(f"next: cd {out} && telewide calibrate --board chessboard_9x6 --square-m 0.025", err=True)
-        return
-    from telewide.simulate.captures import write_captures
-
-    folders = write_captures(out, count=captures, seed=seed, hw=(height, width), factor=factor, scene=scene)
-    typer.echo(f"wrote {len(folders)} captures to {out}", err=True)
-    typer.echo(f"next: telewide train {out}", err=True)
+app.command(epilog=SIMULATE_EPILOG)(simulate)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

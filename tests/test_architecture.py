@@ -45,6 +45,7 @@ LAYERS = {
     "cli_board": 8,
     "cli_calibrate": 8,
     "cli_import": 8,
+    "cli_simulate": 8,
     "stopping": 8,
     "__main__": 8,
 }

@@ -100,12 +100,7 @@ def write_phone(
         UsageError: a number out of range.
         TelewideError: the folder cannot be written.
     """
-    if captures < 1 or boards < 0 or width < 320:
-        raise UsageError(
-            f"captures {captures}, boards {boards}, width {width}: at least 1 capture and 320 px were expected"
-        )
-    if not depths_m or not all(0 < near_m < far_m for near_m, far_m in depths_m):
-        raise UsageError(f"depths {depths_m}: a nearer and a farther one were expected, in metres")
+    _check(captures=captures, boards=boards, width=width, depths_m=depths_m)
     board_seed, capture_seed, rig_seed = np.random.SeedSequence(seed).spawn(3)
     rig = phone_rig(np.random.default_rng(rig_seed), hw=(width * 2 // 3, width))
     for number, child in enumerate(board_seed.spawn(boards)):
@@ -123,7 +118,13 @@ def write_phone(
             place, rng, moved if moves else rig, depths_m=depths_m[number % len(depths_m)], cast=cast
         )
         write_image(folder / "truth" / "hidden" / f"{place.name}.png", hidden)
-    truth = {
+    write_text(folder / "truth" / "rig.json", json.dumps(rig_truth(rig), indent=2) + "\n")
+    return rig
+
+
+def rig_truth(rig: StereoRig) -> dict[str, object]:
+    """What ``truth/rig.json`` says of a phone at rest."""
+    return {
         "baseline_m": rig.baseline_m,
         "f_tele_px": rig.tele.f_px,
         "f_wide_px": rig.wide.f_px,
@@ -131,8 +132,15 @@ def write_phone(
         "wide_from_tele": rig.wide_from_tele.tolist(),
         "square_m": BOARD_SQUARE_M,
     }
-    write_text(folder / "truth" / "rig.json", json.dumps(truth, indent=2) + "\n")
-    return rig
+
+
+def _check(*, captures: int, boards: int, width: int, depths_m: Sequence[tuple[float, float]]) -> None:
+    if captures < 1 or boards < 0 or width < 320:
+        raise UsageError(
+            f"captures {captures}, boards {boards}, width {width}: at least 1 capture and 320 px were expected"
+        )
+    if not depths_m or not all(0 < near_m < far_m for near_m, far_m in depths_m):
+        raise UsageError(f"depths {depths_m}: a nearer and a farther one were expected, in metres")
 
 
 def lenses_of(rig: StereoRig) -> tuple[tuple[str, Camera, FloatArray], ...]:
