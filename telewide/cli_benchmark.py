@@ -118,6 +118,38 @@ def matches(
     _hand_over(report, matches_table(report), json_file)
 
 
+@benchmark_app.command(epilog="Example: `telewide benchmark metres --run run --json metres.json`")
+def metres(
+    *,
+    run: RunOption = None,
+    captures: Annotated[int, typer.Option(help="Still lifes of each kind; three hold every distance.")] = 3,
+    boards: Annotated[int, typer.Option(help="Shots of the board.")] = 14,
+    width: Annotated[int, typer.Option(help="Of all photos, px.")] = 720,
+    seed: Annotated[int, typer.Option(help="Same seed, same photos.")] = 0,
+    keep: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Keep photos, rigs and depths. [default: a temporary one]")
+    ] = None,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Measure depth in metres from simulated photos, the wide lens still and moving, with and without a cast."""
+    from rich.console import Console
+
+    from telewide.benchmark.metres import MetresOptions, benchmark_metres, depth_makers, metres_table
+    from telewide.progress import ConsoleObserver
+
+    _check_device(device)
+    options = MetresOptions(captures=captures, boards=boards, width=width, seed=seed, device=device)
+    makers = depth_makers(run or ())
+    observer = ConsoleObserver(Console(stderr=True), shows_table=False)
+    try:
+        with _folder_or_temporary(keep) as folder:
+            report = benchmark_metres(folder, makers, options, observer=observer)
+    finally:
+        observer.close()
+    _hand_over(report, metres_table(report), json_file)
+
+
 def _run_of(source: Path) -> Path:
     """The run folder itself, or the one a weights file lies in."""
     return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source

@@ -57,12 +57,20 @@ def all_matchers(sources: Sequence[Path], *, device: str) -> list[Matcher]:
         UsageError: a path that does not exist, or a run without weights.
         InputError: a damaged weights file.
     """
-    names = [source.resolve().name.removesuffix(_SUFFIX) for source in sources]
-    labels = names if len(set(names)) == len(names) else [str(source) for source in sources]
     found = [semiglobal_matcher()]
-    for source, label in zip(sources, labels, strict=True):
+    for source, label in zip(sources, source_labels(sources), strict=True):
         found += _matchers_of(source, label, device=device)
     return found
+
+
+def source_labels(sources: Sequence[Path]) -> list[str]:
+    """Name run folders and weights files for a table: by their last names, or by their paths where those do not differ.
+
+    Args:
+        sources: run folders and weights files.
+    """
+    names = [source.resolve().name.removesuffix(_SUFFIX) for source in sources]
+    return names if len(set(names)) == len(names) else [str(source) for source in sources]
 
 
 def _matchers_of(source: Path, label: str, *, device: str) -> list[Matcher]:

@@ -91,7 +91,7 @@ def write_phone(
         width: of all photos, px; they are 3 : 2.
         moves: whether the wide lens moves in every shot; the same things are photographed either way.
         cast: whether the colours of wide differ.
-        depths_m: nearest and farthest of a still life, which take turns.
+        depths_m: about the nearest and the farthest of a still life; they take turns.
 
     Returns:
         The phone as it is when nothing moves.
