@@ -18,6 +18,7 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from telewide.calibrate import RIG_FILE, CalibrationObserver
 from telewide.calibration.quality import CalibrationQuality
@@ -36,20 +37,20 @@ from telewide.correction.scene_quality import (
     judge_scenes,
     row_errors_px,
 )
-from telewide.correction.scene_rig import FocalPrior, SceneRig, Side
+from telewide.correction.scene_rig import FocalPrior, SceneRig, SceneStd, Side
 from telewide.correction.scenes import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
 from telewide.correction.shot import fit_shot, refined_rig
 from telewide.errors import InputError, TelewideError
+from telewide.geometry.rig import Camera
 from telewide.geometry.stereo import FloatMap
 from telewide.output.report import NextStep
 from telewide.output.scenes_report import SceneView, write_scenes_report
 
+FloatArray = NDArray[np.float64]
 Hw = tuple[int, int]
 
 CAPTURES_FOLDER = Path("captures")
 _FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
-_CENTRE_STD_SHARE = 0.01
-"""Tele's principal point is taken as the photo's middle; lenses are off by about so much of the width."""
 _PREVIEW_WIDTH_PX = 1000
 
 
@@ -218,7 +219,6 @@ def _solved(matched: _Matched, *, focal: FocalPrior, options: SceneOptions) -> S
 def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) -> StoredRig:
     rig, std = whole.rig, whole.std
     wide_f_share = math.hypot(std.tele_f_share, std.ratio_share)
-    centre_px = _CENTRE_STD_SHARE * max(rig.tele.hw)
     # In the picture plane and out of it: the two directions in which a unit vector can move.
     direction_m = rig.baseline_m * np.array([std.direction_rad[0], std.direction_rad[0], std.direction_rad[1]])
     length_m = std.baseline_m * rig.wide_from_tele[:3, 3] / rig.baseline_m
@@ -226,12 +226,17 @@ def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) ->
     covariance[3:, 3:] += np.outer(length_m, length_m)
     return StoredRig(
         rig=rig,
-        tele_std=CameraStd(std.tele_f_share * rig.tele.f_px, centre_px, centre_px, np.zeros(len(rig.tele.distortion))),
+        tele_std=CameraStd(
+            std.tele_f_share * rig.tele.f_px,
+            float(std.tele_centre_px[0]),
+            float(std.tele_centre_px[1]),
+            _distortion_std(rig.tele, std, 0),
+        ),
         wide_std=CameraStd(
             wide_f_share * rig.wide.f_px,
             float(std.wide_centre_px[0]),
             float(std.wide_centre_px[1]),
-            np.zeros(len(rig.wide.distortion)),
+            _distortion_std(rig.wide, std, 1),
         ),
         transform_std=TransformStd(
             rotation_deg=np.degrees(std.rotation_rad),
@@ -243,6 +248,11 @@ def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) ->
         facts=facts,
         n_joint_views=whole.n_scenes,
     )
+
+
+def _distortion_std(camera: Camera, std: SceneStd, lens: int) -> FloatArray:
+    """Of k1; the other coefficients are held at 0."""
+    return np.asarray(std.distortion[lens] * (np.arange(len(camera.distortion)) == 0), dtype=np.float64)
 
 
 def _write_report(

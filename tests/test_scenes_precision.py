@@ -45,8 +45,9 @@ def std_m(shared: DepthPrecision) -> float:
 
 def test_depth_of_a_rig_from_scenes_is_less_sure_than_that_of_a_board() -> None:
     of_scenes, of_board = std_m(precision(SCENES)), std_m(precision(BOARD))
-    wanted_m = np.hypot(of_board, ZERO_PX / (RIG.tele.f_px * RIG.baseline_m))  # z = 1 m: z^2 sigma_d / (f B)
-    assert of_scenes == pytest.approx(wanted_m, rel=1e-4)
+    shared_px = np.hypot(precision(BOARD).lens_shift_std_px, ZERO_PX)
+    r = np.hypot(shared_px, 0.5) / (RIG.tele.f_px * RIG.baseline_m)  # of the disparity at 1 m
+    assert of_scenes == pytest.approx(r * np.sqrt(1 + 8 * r**2), rel=1e-4)
     assert of_scenes > 5 * of_board
 
 
@@ -62,3 +63,20 @@ def test_a_known_distance_takes_the_unknown_zero_out() -> None:
     assert pin.correction_px == pytest.approx(30.0, rel=1e-3)  # the rig has next to no say
     pinned = replace(precision(SCENES), lens_shift_std_px=pin.std_px)
     assert std_m(pinned) < 1.1 * std_m(precision(BOARD))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.15])
+def test_an_unsure_zero_is_not_taken_for_small(share: float, rng: np.random.Generator) -> None:
+    # At so far a distance that the zero's deviation is this share of the disparity.
+    shift_px = 6.0
+    disparity_px = shift_px / share
+    gain = RIG.tele.f_px * RIG.baseline_m
+    drawn_m = gain / (disparity_px + rng.normal(0, shift_px, 200_000))
+    stated_m = depth_std_m(
+        np.full((1, 1), gain / disparity_px, np.float32),
+        np.zeros((1, 1), np.float32),
+        f_px=RIG.tele.f_px,
+        baseline_m=RIG.baseline_m,
+        precision=DepthPrecision(lens_shift_std_px=shift_px),
+    )
+    assert stated_m[0, 0] == pytest.approx(np.std(drawn_m), rel=0.03)

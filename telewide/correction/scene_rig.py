@@ -54,6 +54,8 @@ class SceneStd:
         wide_centre_px: (2,) of wide's principal point, px of its photos.
         rotation_rad: (3,) of wide's rotation.
         direction_rad: (2,) of the baseline's direction: in the picture plane, and out of it.
+        distortion: (2,) of the radial coefficient k1 of tele and of wide.
+        tele_centre_px: (2,) of tele's principal point, px of its photos; matches hardly show it.
         zero_px: of the zero of disparity, tele px.
         baseline_m: of the distance of the lenses, m; 0 where that is not known and so of no length.
     """
@@ -63,6 +65,8 @@ class SceneStd:
     wide_centre_px: FloatArray
     rotation_rad: FloatArray
     direction_rad: FloatArray
+    distortion: FloatArray
+    tele_centre_px: FloatArray
     zero_px: float
     baseline_m: float = 0.0
 

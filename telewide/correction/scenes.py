@@ -1,8 +1,11 @@
 """A rig without a board, from matches of ordinary captures: what EXIF says is the prior, the matches say the rest.
 
-Solved jointly over all captures: wide's rotation, its focal length against tele's, its principal point, the direction
-of the baseline; and for each capture what autofocus and stabilisation moved. Lens distortion is taken as corrected by
-the phone. The length of the baseline is never seen, and the zero of disparity hardly: the standard deviations say so.
+Solved jointly over all captures: wide's rotation, its focal length against tele's, both principal points, one
+coefficient of radial distortion of each lens, the direction of the baseline; and for each capture what autofocus and
+stabilisation moved. The length of the baseline is never seen, and the zero of disparity hardly: the standard deviations
+say so.
+Without the distortion, small as it is once a phone has corrected its photos, the principal point and the baseline would
+take it up, and the zero with them.
 Letters: S captures, N matches of one capture, K parameters.
 """
 
@@ -46,10 +49,12 @@ _OUT_OF_PLANE_PRIOR_RAD = 0.1
 _AZIMUTH_PRIOR_RAD = 2.0
 _CENTRE_PRIOR_SHARE = 0.01
 _SHOT_PRIOR = (4.0, 0.003, 0.005)
-_N_GLOBAL = 9
+_DISTORTION_PRIOR = 0.02
+"""Of k1: several times what a phone leaves in photos it corrected; lenses that bend more outvote it."""
+_N_GLOBAL = 13
+_UNDISTORTION_STEPS = 4
 _N_SHOT = 3
 _FAR_SHARE = 0.5
-_IMPLAUSIBLE_SIGMAS = 3.0
 _CONTRADICTING_DEG, _SURE_DIRECTION_DEG = 60.0, 10.0
 _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
 
@@ -87,14 +92,19 @@ class _Scenes:
         offset_px, roll_rad, scale = _SHOT_PRIOR
         rig = [*[_ROTATION_PRIOR_RAD] * 3, self.focal.tele_std_share, self.focal.ratio_std_share, centre_px, centre_px]
         direction = [_AZIMUTH_PRIOR_RAD, _OUT_OF_PLANE_PRIOR_RAD]
-        return np.array([*rig, *direction, *[offset_px * unit_px, roll_rad, scale] * self.n])
+        lenses = [_DISTORTION_PRIOR, _DISTORTION_PRIOR, *[_CENTRE_PRIOR_SHARE * max(self.tele_hw)] * 2]
+        return np.array([*rig, *direction, *lenses, *[offset_px * unit_px, roll_rad, scale] * self.n])
 
     def rig(self, x: FloatArray) -> StereoRig:
-        """Rotation (3), log of tele's f, log of the ratio, wide's centre (2, px), azimuth and elevation (rad)."""
+        """The rig of parameters.
+
+        Rotation (3), log of tele's f, log of the ratio, wide's centre (2, px), azimuth and elevation (rad), radial
+        distortion k1 of tele and of wide, tele's centre (2, px).
+        """
         tele_f = self.focal.tele_f_px * float(np.exp(x[3]))
         wide_f = self.focal.wide_f_px * float(np.exp(x[3] - x[4]))
-        tele = Camera(self.tele_hw, _intrinsics(tele_f, self.tele_hw, np.zeros(2)), np.zeros(0))
-        wide = Camera(self.wide_hw, _intrinsics(wide_f, self.wide_hw, x[5:7]), np.zeros(0))
+        tele = Camera(self.tele_hw, _intrinsics(tele_f, self.tele_hw, x[11:13]), _radial(x[9]))
+        wide = Camera(self.wide_hw, _intrinsics(wide_f, self.wide_hw, x[5:7]), _radial(x[10]))
         azimuth, elevation = self.azimuth_rad + x[7], x[8]
         across = np.cos(elevation)
         centre = np.array([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
@@ -109,10 +119,10 @@ class _Scenes:
         rig = self.rig(x[:_N_GLOBAL])
         offset_px, roll_rad, log_scale = x[_N_GLOBAL:].reshape(-1, _N_SHOT)[self.scene].T
         shift_px = offset_px[:, None] / rig.asymmetry * across_in_wide(rig)
-        wide = _pinhole(self.matches.src_px + shift_px, rig.wide.K) * np.exp(-log_scale)[:, None]
+        wide = _undistorted(self.matches.src_px + shift_px, rig.wide) * np.exp(-log_scale)[:, None]
         cos, sin = np.cos(roll_rad), np.sin(roll_rad)
         unrolled = np.column_stack([cos * wide[:, 0] + sin * wide[:, 1], cos * wide[:, 1] - sin * wide[:, 0]])
-        tele = _pinhole(self.matches.ref_px, rig.tele.K)
+        tele = _undistorted(self.matches.ref_px, rig.tele)
         return epipolar_misfit_px(tele, unrolled, wide_from_tele=rig.wide_from_tele, f_px=rig.tele.f_px)
 
     def jacobian(self, x: FloatArray) -> FloatArray:
@@ -223,6 +233,8 @@ def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wid
         wide_centre_px=fit.std[5:7],
         rotation_rad=fit.std[:3],
         direction_rad=fit.std[7:9],
+        distortion=fit.std[9:11],
+        tele_centre_px=fit.std[11:13],
         zero_px=float(np.hypot(zero_px, shift_px)),
         baseline_m=0.0 if baseline_m is None else stated_baseline_std_m(baseline_m),
     )
@@ -258,8 +270,7 @@ def _zero_std_px(fit: RobustFit, scenes: _Scenes) -> float:
 
     x = fit.x[:_N_GLOBAL]
     J = numeric_jacobian(disparity_px, x, step=1e-3 * scenes.prior_std[:_N_GLOBAL])[0]
-    tele_centre_px = _CENTRE_PRIOR_SHARE * max(scenes.tele_hw)  # taken as the middle of the photo
-    return float(np.hypot(tele_centre_px, np.sqrt(J @ fit.covariance[:_N_GLOBAL, :_N_GLOBAL] @ J)))
+    return float(np.sqrt(J @ fit.covariance[:_N_GLOBAL, :_N_GLOBAL] @ J))
 
 
 def _disparity_px(rig: StereoRig, scenes: _Scenes) -> FloatArray:
@@ -270,14 +281,11 @@ def _disparity_px(rig: StereoRig, scenes: _Scenes) -> FloatArray:
 def _is_backward(rig: StereoRig, scenes: _Scenes, *, zero_px: float) -> tuple[bool, bool]:
     """Whether the baseline's sign is to be turned, and whether that can be told at all.
 
-    All disparities are positive in front of the cameras, so it is seen where only one sign brings them there without
-    moving the zero implausibly far; or where, as usual, something is twice as far as something else. Where the zero is
-    not known well enough for either, what is lower in the photos is taken to be nearer: a guess.
+    All disparities are positive in front of the cameras, and something is usually twice as far as something else. Where
+    the zero is not known well enough to say so, what is lower in the photos is taken to be nearer: a guess. That all
+    disparities have one sign is not enough: phones were seen whose zero lies six standard deviations away.
     """
     disparity_px = _disparity_px(rig, scenes)
-    as_is_px, turned_px = np.maximum(0.0, np.percentile(disparity_px, (1, 99)) * (-1, 1))
-    if max(as_is_px, turned_px) > _IMPLAUSIBLE_SIGMAS * zero_px and min(as_is_px, turned_px) < zero_px:
-        return bool(as_is_px > turned_px), True
     low_px, high_px = np.percentile(disparity_px, (5, 95))
     near_px, far_px = (low_px, high_px) if -low_px > high_px else (high_px, low_px)
     if abs(low_px + high_px) > 2 * zero_px and abs(far_px) < _FAR_SHARE * abs(near_px):
@@ -312,5 +320,14 @@ def _intrinsics(f_px: float, hw: tuple[int, int], centre_shift_px: FloatArray) -
     return np.array([[f_px, 0.0, centre[0]], [0.0, f_px, centre[1]], [0.0, 0.0, 1.0]])
 
 
-def _pinhole(points_px: FloatArray, K: FloatArray) -> FloatArray:
-    return np.asarray((points_px - K[:2, 2]) / np.diag(K)[:2])
+def _radial(k1: float) -> FloatArray:
+    return np.array([k1, 0.0, 0.0, 0.0])
+
+
+def _undistorted(points_px: FloatArray, camera: Camera) -> FloatArray:
+    """What ``Camera.normalised`` gives of a lens with k1 alone, fast: ``x = x_d / (1 + k1 |x|^2)``."""
+    distorted = (points_px - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    points = distorted
+    for _ in range(_UNDISTORTION_STEPS):
+        points = distorted / (1 + camera.distortion[0] * np.sum(points**2, axis=1, keepdims=True))
+    return np.asarray(points)

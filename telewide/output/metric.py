@@ -1,9 +1,11 @@
 """How far off a depth in metres may be, from what is known of the disparity, the rig and this shot.
 
-``z = f B / d`` with ``d`` the disparity, in px of a map without doffs (or ``disparity_px + doffs_px``). To first order
-in independent errors (standard deviations s)
+``z = f B / d`` with ``d`` the disparity, in px of a map without doffs (or ``disparity_px + doffs_px``). With
+independent errors (standard deviations s), to first order but for that of d, which is taken to the next order of
+``1 / d``: where the zero of disparity is unsure, s_d is no longer small against d, and a depth that comes out far too
+near would call itself sure.
 
-    s_z^2 = z^2 ((s_B / B)^2 + (s_f / f)^2) + (z^2 / (f B))^2 (s_match^2 + s_shift^2)
+    s_z^2 = z^2 ((s_B / B)^2 + (s_f / f)^2 + r^2 (1 + 8 r^2)),  r = s_d / d,  s_d^2 = s_match^2 + s_shift^2
 
 `s_match` differs from pixel to pixel. `s_shift` is that of the lens's movement along the baseline, which moves every
 disparity of a shot alike and which no epipolar line shows, and of the rig's zero of disparity where it was made without
@@ -86,8 +88,9 @@ def depth_std_m(
     """
     z_m = depth_m.astype(np.float64)
     common = (precision.baseline_std_m / baseline_m) ** 2 + (precision.f_std_px / f_px) ** 2
-    shifted_px2 = match_std_px.astype(np.float64) ** 2 + precision.lens_shift_std_px**2
-    return np.sqrt(z_m**2 * common + (z_m**2 / (f_px * baseline_m)) ** 2 * shifted_px2).astype(np.float32)
+    disparity_px = f_px * baseline_m / z_m
+    relative2 = (match_std_px.astype(np.float64) ** 2 + precision.lens_shift_std_px**2) / disparity_px**2
+    return (z_m * np.sqrt(common + relative2 * (1 + 8 * relative2))).astype(np.float32)
 
 
 def lens_shift_std_px(vertical_offsets_px: Sequence[float], *, width_px: int) -> float:

@@ -163,10 +163,7 @@ def _rig_html(found: SceneRig) -> str:
     )
     head = '<tr><th></th><th>value</th><th>&plusmn;</th><th class="words">what it rests on</th></tr>'
     table = f"<table><thead>{head}</thead>\n<tbody>{rows}</tbody></table>"
-    note = (
-        "&plusmn; is one standard deviation. Lens distortion is taken as corrected by the phone, and tele's principal "
-        "point as the middle of its photo."
-    )
+    note = "&plusmn; is one standard deviation."
     return f'<div class="scroll">{table}</div><p class="faint">{note}</p>'
 
 
@@ -178,10 +175,15 @@ def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
     yield "f_tele / f_wide", f"{rig.asymmetry:.4f}", f"{rig.asymmetry * std.ratio_share:.4f}", "matches"
     yield "focal length of tele", f"{f_px[0]:.0f} px", f"{f_px[0] * std.tele_f_share:.0f} px", from_exif
     yield "focal length of wide", f"{f_px[1]:.0f} px", f"{f_px[1] * wide_share:.0f} px", from_exif
-    cx, cy = rig.wide.K[:2, 2]
-    cx_std, cy_std = std.wide_centre_px
-    source = "matches across the lenses' line, the photo's middle along it"
-    yield "principal point of wide", f"{cx:.1f}, {cy:.1f} px", f"{cx_std:.1f}, {cy_std:.1f} px", source
+    for name, camera, centre_std_px in (("tele", rig.tele, std.tele_centre_px), ("wide", rig.wide, std.wide_centre_px)):
+        cx, cy = camera.K[:2, 2]
+        cx_std, cy_std = centre_std_px
+        source = "that it lies near the photo's middle, and matches"
+        yield f"principal point of {name}", f"{cx:.1f}, {cy:.1f} px", f"{cx_std:.1f}, {cy_std:.1f} px", source
+    k1 = [float(camera.distortion[:1].sum()) for camera in (rig.tele, rig.wide)]
+    k1_std = ", ".join(f"{value:.3f}" for value in std.distortion)
+    source = "matches, and that phones correct their photos"
+    yield "distortion k1 of tele, wide", f"{k1[0]:+.3f}, {k1[1]:+.3f}", k1_std, source
     turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (np.trace(rig.wide_from_tele[:3, :3]) - 1) / 2))))
     largest_deg = math.degrees(float(std.rotation_rad.max()))
     yield "turn between the lenses", f"{turn_deg:.2f} degrees", f"{largest_deg:.2f} degrees", "matches"

@@ -28,7 +28,8 @@ FOCAL = FocalPrior(RIG.tele.f_px, RIG.wide.f_px)
 def made(
     rig: StereoRig = RIG, *, n_scenes: int = 8, zero_px: float = 20.0, side_source: SideSource = "stated"
 ) -> SceneRig:
-    std = SceneStd(0.05, 0.003, np.full(2, 5.0), np.full(3, 1e-3), np.full(2, 0.02), zero_px, baseline_m=0.0005)
+    two = np.full(2, 0.02)
+    std = SceneStd(0.05, 0.003, 250 * two, np.full(3, 1e-3), two, two / 2, 800 * two, zero_px, baseline_m=0.0005)
     return SceneRig(rig, std, n_scenes, side_source)
 
 

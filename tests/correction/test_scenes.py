@@ -7,7 +7,7 @@ import pytest
 from rig_worlds import angle_deg, measured, phone_rig, seen_points, wide_centre
 
 from telewide.capture.images import read_image
-from telewide.correction.epipolar import moved_rig, vertical_misfit_px
+from telewide.correction.epipolar import moved_rig, rectified_points, vertical_misfit_px
 from telewide.correction.matches import Matches
 from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.scene_rig import FocalPrior, stated_baseline_std_m
@@ -60,6 +60,28 @@ def test_a_rig_is_found_from_eight_captures(is_vertical: bool, side: str) -> Non
     assert np.percentile(left_px, 99) < 0.5
 
 
+def zero_px(found: StereoRig, truth: StereoRig) -> float:
+    """Disparity that a rig gives what is infinitely far, in the middle of the tele photo."""
+    middle = (np.array([truth.tele.hw[::-1]]) - 1) / 2
+    rays = np.column_stack([truth.tele.normalised(middle), [1.0]]) @ truth.wide_from_tele[:3, :3].T
+    tele, wide = rectified_points(middle, truth.wide.project(rays), rig=found)
+    return float(found.tele.f_px * (tele - wide)[0, 0])
+
+
+def test_distortion_is_not_taken_for_another_zero_of_disparity() -> None:
+    rng = np.random.default_rng(8)
+    rig = phone_rig(has_distortion=True)
+    _, matches = captures(rig, rng, n=8)
+    focal = FocalPrior(rig.tele.f_px, rig.wide.f_px)
+    found = rig_from_scenes(matches, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=focal, wide_side="right")
+    assert abs(zero_px(found.rig, rig)) < 2.5 * found.std.zero_px
+    assert abs(found.rig.asymmetry / rig.asymmetry - 1) < 3 * found.std.ratio_share
+    assert angle_deg(wide_centre(found.rig), wide_centre(rig)) < 3 * np.degrees(found.std.direction_rad).max()
+    wanted = [camera.distortion[0] for camera in (rig.tele, rig.wide)]
+    got = [camera.distortion[0] for camera in (found.rig.tele, found.rig.wide)]
+    np.testing.assert_array_less(np.abs(np.subtract(got, wanted)), 3 * found.std.distortion)
+
+
 def test_lenses_above_each_other_do_not_stand_side_by_side() -> None:
     rng = np.random.default_rng(5)
     rig = phone_rig(is_vertical=True, has_distortion=False)
@@ -73,8 +95,8 @@ def test_only_one_side_puts_near_things_in_front(rng: np.random.Generator) -> No
     rig = phone_rig(has_distortion=False)
     focal = FocalPrior(rig.tele.f_px, rig.wide.f_px)
     scenes = []
-    for _ in range(3):  # so near that no principal point explains the shift away
-        near = seen_points(rig, rng, n=200, nearest_m=0.18, farthest_m=0.3)
+    for _ in range(3):  # so near that no principal point explains the shift away, and far things beside near ones
+        near = seen_points(rig, rng, n=200, nearest_m=0.15, farthest_m=0.7)
         scenes.append(measured(near, rng))
     found = rig_from_scenes(scenes, tele_hw=rig.tele.hw, wide_hw=rig.wide.hw, focal=focal)
     assert (found.wide_side, found.side_source) == ("right", "seen")
@@ -110,6 +132,7 @@ def test_too_few_captures_are_refused(rng: np.random.Generator) -> None:
 def test_the_first_guess_is_straight_ahead() -> None:
     rig = first_rig(tele_hw=(30, 40), wide_hw=(60, 80), focal=FocalPrior(100.0, 50.0))
     np.testing.assert_allclose(rig.wide_from_tele[:3, :3], np.eye(3))
+    assert not rig.tele.distortion.any()
     np.testing.assert_allclose(rig.wide.K, [[50, 0, 39.5], [0, 50, 29.5], [0, 0, 1]])
     assert rig.asymmetry == pytest.approx(2.0)
 

@@ -22,7 +22,8 @@ ERRORS_PX = np.linspace(0, 1.5, 151)
 
 
 def found(rig: StereoRig = RIG, *, side_source: SideSource = "seen", n_scenes: int = 7) -> SceneRig:
-    std = SceneStd(0.05, 0.003, np.full(2, 5.0), np.full(3, 1e-3), np.full(2, 0.02), 26.0, baseline_m=0.0005)
+    two = np.full(2, 0.02)
+    std = SceneStd(0.05, 0.003, 250 * two, np.full(3, 1e-3), two, two / 2, 800 * two, 26.0, baseline_m=0.0005)
     return SceneRig(rig, std, n_scenes, side_source)
 
 
