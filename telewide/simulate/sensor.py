@@ -29,12 +29,8 @@ PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the first two pixels of the first row, then of the second."""
 SHADING_UNDONE = 0.8
 """How much of the lens's darkening a phone takes out of its own photos, as an exponent."""
-_DEMOSAICING = {
-    "RGGB": cv2.COLOR_BayerRGGB2RGB_EA,
-    "BGGR": cv2.COLOR_BayerBGGR2RGB_EA,
-    "GRBG": cv2.COLOR_BayerGRBG2RGB_EA,
-    "GBRG": cv2.COLOR_BayerGBRG2RGB_EA,
-}
+# Green along edges, by OpenCV: it keeps fine lines that bilinear demosaicing colours.
+_DEMOSAICING = {pattern: int(getattr(cv2, f"COLOR_Bayer{pattern}2RGB_EA")) for pattern in PATTERNS}
 _PEDESTAL = 0.1  # noise below black survives demosaicing, which knows no negative numbers
 _FULL_SCALE = 65535
 # Linear sRGB from white-balanced camera colours, rows that add up to 1: between those of several phones' profiles.
