@@ -205,7 +205,8 @@ def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, as_jso
     if quality.verdict == "insufficient":
         advice = " ".join(check.advice for check in quality.checks if check.status == "fail")
         failure = QualityError(
-            f"{answer['rig']} was written, and marked as not good enough to compute depth with", hint=advice
+            f"{answer['rig']} was written, and marked as not good enough to compute depth with",
+            hint=f"{advice} Then run the same command again.",
         )
     if not as_json:
         if failure is not None:

@@ -54,6 +54,19 @@ class DistancePin:
     std_px: float
 
 
+@dataclass(frozen=True)
+class ScalePin:
+    """What a known distance says of the scale.
+
+    Attributes:
+        baseline_m: distance of the lenses.
+        std_m: its standard deviation.
+    """
+
+    baseline_m: float
+    std_m: float
+
+
 def parse_known_distance(text: str) -> KnownDistance:
     """Read ``X,Y,M``: column, row (px of the tele photo) and distance (m).
 
@@ -135,24 +148,32 @@ def weigh_pin(pin: DistancePin, *, geometry: RectifiedGeometry, lens_shift_std_p
     return DistancePin(geometry.doffs_px + correction_px, correction_px, std_px)
 
 
-def pin_scale(disparity_px: FloatMap, known: KnownDistance, *, geometry: RectifiedGeometry) -> float:
+def pin_scale(
+    disparity_px: FloatMap, known: KnownDistance, *, geometry: RectifiedGeometry, lens_shift_std_px: float = 0.0
+) -> ScalePin:
     """Find the length of the baseline that gives a point its distance, the zero of disparity being right.
+
+    ``B = (d + doffs) M / (|r| f)``; its deviation is that of the distance and of ``d + doffs``.
 
     Args:
         disparity_px: (H, W) of the rectified ref, NaN where unknown.
         known: the point.
         geometry: of the pair; its own scale does not count.
+        lens_shift_std_px: how far the zero of disparity may be off at this shot, px of the rectified views.
 
     Returns:
-        The baseline, m.
+        The baseline.
 
     Raises:
         InputError: the point is not in the photo, its disparity is unknown, or it lies behind the cameras.
     """
-    d_px, _, length = _disparity_at(disparity_px, known, geometry)
-    if d_px + geometry.doffs_px <= 0:
+    d_px, spread_px, length = _disparity_at(disparity_px, known, geometry)
+    d_px += geometry.doffs_px
+    if d_px <= 0:
         raise InputError(f"the point {known.x_px:g}, {known.y_px:g} is seen at infinity or beyond: it pins no scale")
-    return float((d_px + geometry.doffs_px) * known.distance_m / length / geometry.f_px)
+    baseline_m = float(d_px * known.distance_m / length / geometry.f_px)
+    off_share = np.hypot(spread_px, lens_shift_std_px) / d_px
+    return ScalePin(baseline_m, float(baseline_m * np.hypot(known.std_share, off_share)))
 
 
 def _disparity_at(

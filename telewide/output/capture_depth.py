@@ -181,8 +181,10 @@ def _result_of_shot(name: str, working: DisparityMap, photo: FloatMap, *, shot: 
         geometry = replace(geometry, doffs_px=pin.doffs_px)
         precision = replace(precision, lens_shift_std_px=pin.std_px / geometry.scale)
     elif shot.known is not None:
-        baseline_m = pin_scale(working.disparity_px, shot.known, geometry=geometry)
-        geometry = replace(geometry, rig=geometry.rig.with_baseline(baseline_m))
+        shift_px = precision.lens_shift_std_px * geometry.scale
+        scale = pin_scale(working.disparity_px, shot.known, geometry=geometry, lens_shift_std_px=shift_px)
+        geometry = replace(geometry, rig=geometry.rig.with_baseline(scale.baseline_m))
+        precision = replace(precision, baseline_std_m=scale.std_m)
     on_tele = disparity_on_tele(working, geometry=geometry)
     moved = moving_mask(shot.moved, hw=photo.shape[:2])
     confidence = np.where(moved, np.float32(0), on_tele.confidence)

@@ -128,8 +128,9 @@ def _between(stored: StoredRig) -> list[tuple[str, str]]:
     rows = [("f_tele / f_wide", f"{rig.asymmetry:.4f}"), ("turn between them", f"{turn_deg:.3f} degrees")]
     if rig.is_scale_known:
         baseline = _plus_minus(rig.baseline_m * 1e3, _thousand(std.baseline_m if std else None), "mm", decimals=2)
-        verified = "" if stored.facts.scale_verified else "  (nominal: nothing was measured)"
-        rows.append(("baseline", f"{baseline}{verified}"))
+        unverified = "as stated" if stored.facts.source == "scenes" else "nominal"
+        doubt = "" if stored.facts.scale_verified else f"  ({unverified}: nothing was measured)"
+        rows.append(("baseline", f"{baseline}{doubt}"))
     else:
         rows.append(("baseline", "not known in metres"))
     return rows

@@ -48,9 +48,12 @@ def test_a_known_distance_brings_back_the_scale() -> None:
     known = KnownDistance(500.0, 700.0, 2.0)
     rig = phone_rig()
     geometry, disparity_px = geometry_and_disparity(rig, known=known)
-    assert pin_scale(disparity_px + np.float32(SHIFT_PX), known, geometry=geometry) == pytest.approx(
-        rig.baseline_m, rel=1e-4
-    )
+    seen_px = disparity_px + np.float32(SHIFT_PX)
+    sure, unsure = (pin_scale(seen_px, known, geometry=geometry, lens_shift_std_px=shift) for shift in (0.0, 3.0))
+    assert sure.baseline_m == unsure.baseline_m == pytest.approx(rig.baseline_m, rel=1e-4)
+    d_px = float(seen_px[0, 0]) + geometry.doffs_px
+    assert sure.std_m == pytest.approx(rig.baseline_m * np.hypot(0.01, 0.1 / d_px), rel=1e-3)
+    assert unsure.std_m == pytest.approx(rig.baseline_m * np.sqrt(0.01**2 + (0.1**2 + 3**2) / d_px**2), rel=1e-3)
 
 
 def test_the_middle_of_the_photo_is_in_focus() -> None:
