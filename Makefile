@@ -1,4 +1,4 @@
-# make setup | demo | demo-phone | test | test-slow | lint | bench        (each sets up .venv first, once)
+# make setup | demo | test | test-slow | lint | bench        (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo demo-phone test test-slow lint bench clean
+.PHONY: setup demo test test-slow lint bench clean
 
 setup: $(STAMP)
 
@@ -16,14 +16,10 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
+# From the photos of two unequal lenses to metres: examples/phone holds photos of a board and of six rooms.
 demo: $(STAMP)
-	$(BIN)/telewide run examples/captures --recipe quick --out demo
-
-# From the photos of two unequal lenses, simulated with a board: calibrate, then the same in metres.
-demo-phone: $(STAMP)
-	$(BIN)/telewide simulate demo-phone --phone --captures 6 --width 720 --seed 1
-	cd demo-phone && ../$(BIN)/telewide calibrate --square-m 0.025
-	cd demo-phone && ../$(BIN)/telewide run captures --recipe quick
+	$(BIN)/telewide calibrate examples/phone/boards --square-m 0.025 --out demo/rig.yaml
+	$(BIN)/telewide run examples/phone/captures --rig demo/rig.yaml --recipe quick --out demo
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
@@ -45,4 +41,4 @@ bench: $(STAMP)
 	else echo "no phone pairs in $(DATA): set TELEWIDE_DATA" >&2; fi
 
 clean:
-	rm -rf demo demo-phone dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache

@@ -82,10 +82,10 @@ def cross_validation_figures(calibration: Calibration) -> str:
     for name, difference_px, hw, unit in maps:
         caption = (
             f"{name}: rigs solved from every second photo and from the others, {_rms(difference_px):.2f} {unit} "
-            f"apart (RMS), {difference_px.max():.2f} at most. Good: little more than the noise of the corners, "
+            f"apart (RMS), {np.nanmax(difference_px):.2f} at most. Good: little more than the noise of the corners, "
             "where boards were held."
         )
-        high = max(float(difference_px.max()), 0.1)
+        high = max(float(np.nanmax(difference_px)), 0.1)
         values = difference_px.astype(np.float32)
         figures.append(heat_chart(values, hw=hw, value_range=(0.0, high), unit="px", caption=caption))
     return "".join(figures)
@@ -236,7 +236,7 @@ def _stacked(arrays: Sequence[FloatArray]) -> FloatArray:
 
 
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def _rounded_down(value: float) -> float:

@@ -28,11 +28,13 @@ def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
         second: another one, of photos of the same size.
 
     Returns:
-        (R, C) px.
+        (R, C) px; NaN where a distortion that no board showed folds the photo's corners over.
     """
     grid_px = _grid_px(first.hw)
     rays, other_rays = _unit_rays(first, grid_px), _unit_rays(second, grid_px)
-    u, _, vt = np.linalg.svd(other_rays.T @ rays)
+    is_seen = np.isfinite(rays).all(axis=1) & np.isfinite(other_rays).all(axis=1)
+    rays = np.where(is_seen[:, None], rays, np.nan)
+    u, _, vt = np.linalg.svd(other_rays[is_seen].T @ rays[is_seen])
     second_from_first = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     difference_px = second.project(rays @ second_from_first.T) - grid_px
     return np.asarray(np.linalg.norm(difference_px, axis=1).reshape(_grid_shape(first.hw)))

@@ -71,22 +71,22 @@ def distortion_words(camera: Camera, std: CameraStd | None) -> dict[str, str]:
         By name of the coefficient: its value and deviation, or what it was held at. One that is exactly 0 was held.
     """
     values = camera.distortion
-    sigmas = np.full(len(values), np.nan) if std is None else std.distortion
+    deviations = np.full(len(values), np.nan) if std is None else std.distortion
     return {
-        name: _coefficient(float(value), float(sigma))
-        for name, value, sigma in zip(_COEFFICIENTS, values, sigmas, strict=False)
+        name: _coefficient(float(value), float(deviation))
+        for name, value, deviation in zip(_COEFFICIENTS, values, deviations, strict=False)
     }
 
 
-def _coefficient(value: float, sigma: float) -> str:
+def _coefficient(value: float, deviation: float) -> str:
     if value == 0:
         return "fixed at 0"
-    if sigma == 0:
+    if deviation == 0:
         return f"fixed at {value:+.4g}"
-    if not math.isfinite(sigma):
+    if not math.isfinite(deviation):
         return f"{value:+.4f}"
-    decimals = max(4, 1 - math.floor(math.log10(sigma)))  # two figures of the deviation, however small
-    return f"{value:+.{decimals}f} ± {sigma:.{decimals}f}"
+    decimals = max(4, 1 - math.floor(math.log10(deviation)))  # two figures of the deviation, however small
+    return f"{value:+.{decimals}f} ± {deviation:.{decimals}f}"
 
 
 def _check_lines(check: Check) -> Iterator[str]:

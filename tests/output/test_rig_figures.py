@@ -84,3 +84,14 @@ def test_cells_count_every_point_inside_once() -> None:
     corners_px = np.array([[-0.5, -0.5], [799.49, 599.49], [0.0, 599.0], [399.4, 10.0], [399.6, 10.0]])
     counts = cell_counts(np.vstack([corners_px, [[900.0, 10.0], [-3.0, 5.0]]]), hw=HW, cells=(2, 2))
     assert counts.tolist() == [[2, 1], [1, 1]]
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+def test_corners_that_a_distortion_folds_over_are_left_out() -> None:
+    """As in a solve of boards that filled the middle of the wide photo only."""
+    K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+    sound, folded = (Camera((480, 640), K, np.array([-0.05, k2, 0.0, 0.0, 0.0])) for k2 in (0.25, -0.9))
+    difference_px = camera_difference_px(sound, folded)
+    rows, columns = difference_px.shape
+    assert np.isnan(difference_px[0, 0])
+    assert np.isfinite(difference_px[rows // 3 : 2 * rows // 3, columns // 3 : 2 * columns // 3]).all()
