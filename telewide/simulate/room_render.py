@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from telewide.errors import MissingPartError
 from telewide.geometry.grids import dense_map
-from telewide.geometry.rig import Camera
+from telewide.geometry.rig import Camera, StereoRig
 from telewide.simulate.room_scene import Light, Room, Solid
 from telewide.srgb import linear_from_srgb
 
@@ -32,6 +32,8 @@ _FINENESS = 1.25
 _LOOKUP = 2
 _BORDER_PX = 4
 _LATHE_STEPS = 64
+_SAME_SURFACE = 1e-3
+"""A share of the distance; rays are single precision."""
 _AXES = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Mitsuba's camera looks along z with x to the left and y up."""
 
@@ -112,15 +114,37 @@ class RoomTracer:
         Returns:
             (H, W) float32, m; NaN where a ray leaves the room.
         """
-        y_px, x_px = np.indices(camera.hw, dtype=np.float64)
-        normalised = camera.normalised(np.column_stack([x_px.ravel(), y_px.ravel()]))
-        rays = np.column_stack([normalised, np.ones(len(normalised))]) @ world_from_camera[:3, :3].T
+        rays = _rays(camera) @ world_from_camera[:3, :3].T
         origin, trace = self._mi.Point3f(*world_from_camera[:3, 3]), self._glow.ray_intersect_preliminary
         # With a direction whose z is 1 in the camera's frame, the length along it is z itself.
         ray, vector = self._mi.Ray3f, self._mi.Vector3f
         depths = [trace(ray(origin, vector(*direction)), True).t for direction in rays.tolist()]
         found = np.array(depths, dtype=np.float32).reshape(camera.hw)
         return np.where(np.isfinite(found), found, np.float32(np.nan)).astype(np.float32)
+
+    def is_hidden(self, rig: StereoRig, world_from_tele: FloatArray, *, depth_m: FloatMap) -> NDArray[np.bool_]:
+        """What tele sees and wide does not: something stands before it, or its photo ends.
+
+        Args:
+            rig: both cameras.
+            world_from_tele: (4, 4), m.
+            depth_m: (H, W) of the tele photo, as `depth_m` gives it.
+
+        Returns:
+            (H, W) of the tele photo.
+        """
+        seen_m = (_rays(rig.tele) * depth_m.reshape(-1, 1)).astype(np.float64)
+        in_wide_m = seen_m @ rig.wide_from_tele[:3, :3].T + rig.wide_from_tele[:3, 3]
+        wide_px = rig.wide.project(in_wide_m)
+        last_px = np.array([rig.wide.hw[1], rig.wide.hw[0]]) - 1
+        is_outside = np.any((wide_px < 0) | (wide_px > last_px), axis=1)
+        world_from_wide = world_from_tele @ np.linalg.inv(rig.wide_from_tele)
+        rays = in_wide_m @ world_from_wide[:3, :3].T
+        origin, trace = self._mi.Point3f(*world_from_wide[:3, 3]), self._glow.ray_intersect_preliminary
+        ray, vector = self._mi.Ray3f, self._mi.Vector3f
+        # With a direction that ends at what tele sees, something nearer is met before 1.
+        met_at = np.array([trace(ray(origin, vector(*direction)), True).t for direction in rays.tolist()])
+        return np.asarray(is_outside | (met_at < 1 - _SAME_SURFACE)).reshape(depth_m.shape)
 
 
 def _load_mitsuba() -> Any:
@@ -138,6 +162,13 @@ def _load_mitsuba() -> Any:
     if threads.isdecimal() and int(threads) > 0:
         drjit.set_thread_count(int(threads))
     return mitsuba
+
+
+def _rays(camera: Camera) -> FloatArray:
+    """(H * W, 3) through the centres of all pixels, z 1."""
+    y_px, x_px = np.indices(camera.hw, dtype=np.float64)
+    normalised = camera.normalised(np.column_stack([x_px.ravel(), y_px.ravel()]))
+    return np.column_stack([normalised, np.ones(len(normalised))])
 
 
 def _pinhole_view(camera: Camera) -> _PinholeView:

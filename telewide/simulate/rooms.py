@@ -48,6 +48,7 @@ DEFAULT_SAMPLES = 6
 BOKEH_F_NUMBER = 2.0
 """Of the 50 mm lens whose opening the pictures of a large aperture have."""
 _BOKEH_SAMPLES_SHARE = 10
+_SUBJECT_SHARE = 0.1
 _POSE_TRIES = 30
 _LEAST_WIDTH_PX = 96
 _FOCAL_MM = {"tele": (9.0, 80.0), "wide": (5.6, 27.0)}
@@ -140,7 +141,7 @@ def write_rooms(
         name = f"{number:03d}"
         moved[name] = moved_rig(rng, phone.rig)
         shot = _Shot(folder / "captures" / name, moved[name], boards + number, rng)
-        _photograph_room(phone, shot, truth=folder / "truth" / name)
+        _photograph_room(phone, shot, truth=folder / "truth")
         tick()
     write_text(folder / "truth" / "rig.json", json.dumps(_rig_truth(phone.rig, moved), indent=2) + "\n")
     return phone.rig
@@ -213,8 +214,25 @@ def _photograph_room(phone: _Phone, shot: _Shot, *, truth: Path) -> None:
     exposure = _write_photos(phone, shot, lights, focus_m=middle_m)
     disparity_px = shot.rig.tele.K[0, 0] * shot.rig.baseline_m / depth_m
     write_pfm(shot.folder / "truth.pfm", disparity_px.astype(np.float32))
+    hidden = tracer.is_hidden(shot.rig, room.world_from_tele, depth_m=depth_m)
+    write_image(truth / "hidden" / f"{shot.folder.name}.png", hidden.astype(np.float32))
     if phone.how.has_bokeh:
-        _write_bokeh(tracer, shot, room, truth=truth, focus_m=middle_m, exposure=exposure, how=phone.how)
+        _write_bokeh(
+            tracer,
+            shot,
+            room,
+            truth=truth / shot.folder.name,
+            focus_m=_subject_m(depth_m),
+            exposure=exposure,
+            how=phone.how,
+        )
+
+
+def _subject_m(depth_m: FloatMap) -> float:
+    """Distance of what stands in front in the middle of the photo."""
+    height, width = depth_m.shape
+    middle = depth_m[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
+    return float(np.quantile(middle, _SUBJECT_SHARE))
 
 
 def _lights_of(tracer: RoomTracer, shot: _Shot, world_from_tele: FloatArray, *, samples: int) -> dict[str, FloatImage]:

@@ -114,7 +114,7 @@ def test_true_depth_lays_wide_upon_tele() -> None:
     assert 0.002 < is_hidden.mean() < 0.2
     # Hidden are places beside an edge, where the depth jumps.
     nearest_m = cv2.erode(depth_m, np.ones((9, 9), np.uint8))
-    assert np.mean(nearest_m[is_hidden] < 0.97 * depth_m[is_hidden]) > 0.95
+    assert np.mean(nearest_m[is_hidden] < 0.97 * depth_m[is_hidden]) > 0.9
 
 
 def wide_upon_tele(wide: FloatMap, rig: StereoRig, depth_m: FloatMap) -> FloatMap:
