@@ -32,7 +32,7 @@ def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
     """
     grid_px = _grid_px(first.hw)
     rays, other_rays = _unit_rays(first, grid_px), _unit_rays(second, grid_px)
-    is_seen = np.isfinite(rays).all(axis=1) & np.isfinite(other_rays).all(axis=1)
+    is_seen = np.asarray(np.isfinite(np.hstack([rays, other_rays])).all(axis=1))
     rays = np.where(is_seen[:, None], rays, np.nan)
     u, _, vt = np.linalg.svd(other_rays[is_seen].T @ rays[is_seen])
     second_from_first = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -101,7 +101,8 @@ def bricks(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour, row
     grain = 1 + np.float32(0.08) * (
         band_noise(rng, hw=hw, wavelength_px=5.0) + band_noise(rng, hw=hw, wavelength_px=17)
     )
-    wall = np.where(is_joint[..., None], np.float32([0.72, 0.7, 0.66]), colour * tones[row, column][..., None])
+    mortar = np.array([0.72, 0.7, 0.66], np.float32)
+    wall = np.where(is_joint[..., None], mortar, colour * tones[row, column][..., None])
     return _clipped(wall * grain[..., None])
 
 
@@ -144,7 +145,7 @@ def packet(rng: np.random.Generator, *, hw: tuple[int, int]) -> FloatImage:
     sheet = patterned(rng, hw=hw, contrast=0.35)
     top, bottom = int(hw[0] * rng.uniform(0.15, 0.3)), int(hw[0] * rng.uniform(0.6, 0.8))
     left, right = int(hw[1] * 0.12), int(hw[1] * 0.88)
-    sheet[top:bottom, left:right] = np.float32([0.86, 0.84, 0.78]) * np.float32(rng.uniform(0.85, 1.05))
+    sheet[top:bottom, left:right] = np.array([0.86, 0.84, 0.78], np.float32) * np.float32(rng.uniform(0.85, 1.05))
     ink = thing_colour(rng) * np.float32(0.6)
     step = max(6, (bottom - top) // 6)
     for y in range(top + step // 2, bottom - step // 2, step):
@@ -160,7 +161,7 @@ def book_back(rng: np.random.Generator, *, hw: tuple[int, int] = (96, 24)) -> Fl
         y = int(hw[0] * place)
         sheet[y : y + 3] = band
     title = sheet[int(hw[0] * 0.25) : int(hw[0] * 0.7), hw[1] // 3 : 2 * hw[1] // 3]
-    _print_line(rng, title.transpose(1, 0, 2), np.float32([0.85, 0.8, 0.6]))
+    _print_line(rng, title.transpose(1, 0, 2), np.array([0.85, 0.8, 0.6], np.float32))
     return sheet
 
 
@@ -176,8 +177,8 @@ def picture(rng: np.random.Generator, *, hw: tuple[int, int]) -> FloatImage:
     mount = int(0.09 * min(hw))
     is_mount = (np.minimum(x, hw[1] - 1 - x) < mount) | (np.minimum(y, hw[0] - 1 - y) < mount)
     is_frame = (np.minimum(x, hw[1] - 1 - x) < mount // 3) | (np.minimum(y, hw[0] - 1 - y) < mount // 3)
-    sheet = np.where(is_mount[..., None], np.float32([0.85, 0.83, 0.8]), sheet)
-    return _clipped(np.where(is_frame[..., None], np.float32([0.16, 0.12, 0.1]), sheet))
+    sheet = np.where(is_mount[..., None], np.array([0.85, 0.83, 0.8], np.float32), sheet)
+    return _clipped(np.where(is_frame[..., None], np.array([0.16, 0.12, 0.1], np.float32), sheet))
 
 
 def chessboard(*, corners: tuple[int, int], margin: int = 1, cell_px: int = 16) -> FloatImage:
@@ -192,7 +193,7 @@ def chessboard(*, corners: tuple[int, int], margin: int = 1, cell_px: int = 16) 
     is_black = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 0
     cells = np.pad(np.where(is_black, np.float32(0.12), np.float32(0.9)), margin, constant_values=0.9)
     grey = np.kron(cells, np.ones((cell_px, cell_px), np.float32))
-    return np.asarray(grey[..., None] * np.float32([1.0, 0.98, 0.95]), np.float32)
+    return np.asarray(grey[..., None] * np.array([1.0, 0.98, 0.95], np.float32), np.float32)
 
 
 def _print_line(rng: np.random.Generator, place: FloatImage, ink: Colour) -> None:

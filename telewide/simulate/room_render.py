@@ -235,7 +235,7 @@ def _glow_scene(mi: Any, room: Room) -> dict[str, object]:
     scene: dict[str, object] = {"type": "scene", "integrator": {"type": "path", "max_depth": 1}}
     black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
     for number, solid in enumerate(room.solids):
-        radiance = linear_from_srgb(solid.texture) * np.float32(room.ambient)
+        radiance = linear_from_srgb(solid.texture) * np.array(room.ambient, np.float32)
         glowing = {"type": "area", "radiance": _colour(mi, radiance, solid)}
         scene[f"solid{number}"] = _shape(mi, solid, {"bsdf": black, "emitter": glowing})
     return scene
