@@ -231,12 +231,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     logging.basicConfig(level=logging.WARNING, format="note: %(message)s", stream=sys.stderr)
     if this_process().world > 1:  # torchrun ends its processes together, and waits for none
-        sys.exit(_exit_code(arguments, lambda: INTERRUPTED))
+        sys.exit(_exit_code(arguments))
     with terminable() as interrupted:
         sys.exit(_exit_code(arguments, interrupted))
 
 
-def _exit_code(arguments: Sequence[str] | None, interrupted: Callable[[], int]) -> int:
+def _exit_code(arguments: Sequence[str] | None, interrupted: Callable[[], int] = lambda: INTERRUPTED) -> int:
     words = list(arguments) if arguments is not None else sys.argv[1:]
     try:
         code = app(words, prog_name="telewide", standalone_mode=False)

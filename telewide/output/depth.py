@@ -115,7 +115,9 @@ def depth_result_of_rig(
         baseline_m=rig.baseline_m,
         precision=precision or DepthPrecision(),
     )
-    return replace(result, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
+    # What seems to lie beyond infinity was mismatched, or the lens had shifted: it has no depth.
+    measured = replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
+    return replace(result, disparity=measured, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
 
 
 def _centred_intrinsics(f_px: float, *, hw: tuple[int, ...]) -> FloatMatrix:

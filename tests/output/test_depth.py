@@ -64,6 +64,15 @@ def test_a_rig_gives_metres_and_how_sure_they_are(disparity: DisparityMap) -> No
     np.testing.assert_array_equal(result.distortion, rig.tele.distortion)
 
 
+def test_what_lies_beyond_infinity_is_not_valid() -> None:
+    disparity_px = np.array([[4.0, 2.0, 0.0, -3.0]], np.float32)
+    disparity = DisparityMap(disparity_px, np.ones((1, 4), np.float32), np.ones((1, 4), np.bool_))
+    result = depth_result_of_rig("a", disparity, rig=phone(shrink=250))
+    assert result.depth_m is not None
+    np.testing.assert_array_equal(result.disparity.valid, [[True, True, False, False]])
+    np.testing.assert_array_equal(np.isfinite(result.depth_m), result.disparity.valid)
+
+
 def test_a_rig_without_scale_gives_no_metres(disparity: DisparityMap) -> None:
     rig = replace(phone(shrink=250), is_scale_known=False)
     result = depth_result_of_rig("a", disparity, rig=rig)
