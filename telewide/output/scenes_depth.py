@@ -94,12 +94,12 @@ def _share(distances: FloatArray, found: SceneRig, std_px: float) -> FloatArray:
     return depth_error_m(depth, found.rig, disparity_std_px=std_px) / depth
 
 
-def _cell(distance: float, found: SceneRig, std_px: float) -> str:
-    share = float(_share(np.array(distance), found, std_px))
+def _cell(distance_m: float, found: SceneRig, std_px: float) -> str:
+    share = float(_share(np.array(distance_m), found, std_px))
     if share >= 1:
         return "not known"
     if not found.rig.is_scale_known:
         return f"&plusmn; {share:.1%}"
-    error_m = share * distance
+    error_m = share * distance_m
     length = f"{error_m * 1e3:.1f} mm" if error_m < 0.0995 else f"{error_m:.2f} m"
     return f"&plusmn; {length} ({share:.1%})"

@@ -138,7 +138,8 @@ class RoomTracer:
         wide_px = rig.wide.project(in_wide_m)
         last_px = np.array([rig.wide.hw[1], rig.wide.hw[0]]) - 1
         is_outside = np.any((wide_px < 0) | (wide_px > last_px), axis=1)
-        world_from_wide = world_from_tele @ np.linalg.inv(rig.wide_from_tele)
+        tele_from_wide = np.linalg.inv(rig.wide_from_tele)
+        world_from_wide = world_from_tele @ tele_from_wide
         rays = in_wide_m @ world_from_wide[:3, :3].T
         origin, trace = self._mi.Point3f(*world_from_wide[:3, 3]), self._glow.ray_intersect_preliminary
         ray, vector = self._mi.Ray3f, self._mi.Vector3f

@@ -237,15 +237,12 @@ def _subject_m(depth_m: FloatMap) -> float:
 
 def _lights_of(tracer: RoomTracer, shot: _Shot, world_from_tele: FloatArray, *, samples: int) -> dict[str, FloatImage]:
     """What falls on both sensors, linear."""
-    return {
-        name: tracer.photo(
-            camera,
-            world_from_tele @ np.linalg.inv(camera_from_tele),
-            samples=samples,
-            seed=int(shot.rng.integers(2**31)),
-        )
-        for name, camera, camera_from_tele in lenses_of(shot.rig)
-    }
+    light = {}
+    for name, camera, camera_from_tele in lenses_of(shot.rig):
+        tele_from_camera = np.linalg.inv(camera_from_tele)
+        seed = int(shot.rng.integers(2**31))
+        light[name] = tracer.photo(camera, world_from_tele @ tele_from_camera, samples=samples, seed=seed)
+    return light
 
 
 def _write_photos(phone: _Phone, shot: _Shot, lights: dict[str, FloatImage], *, focus_m: float) -> float:

@@ -44,7 +44,7 @@ def test_what_moved_is_found_from_photos(rng: np.random.Generator) -> None:
 
 def test_photos_of_another_shape_are_refused(rng: np.random.Generator) -> None:
     rig = phone_rig(width_px=640)
-    with pytest.raises(InputError, match="rig was calibrated"):
+    with pytest.raises(InputError, match="turned by 90 degrees against the wide photo and against the calibration"):
         find_photo_matches(np.zeros((640, 480, 3), np.float32), np.zeros((480, 640, 3), np.float32), rig=rig)
 
 

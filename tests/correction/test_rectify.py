@@ -156,7 +156,7 @@ def test_without_a_known_scale_there_is_no_baseline() -> None:
 def test_turned_photos_are_refused() -> None:
     rig = phone("horizontal", shrink=SHRINK)
     tele, wide = plane_photos("horizontal")
-    with pytest.raises(InputError, match="calibrated with photos of 202 x 151"):
+    with pytest.raises(InputError, match=r"turned by 90 degrees against the calibration: .* made with 202 x 151"):
         rectify_pair(np.rot90(tele), np.rot90(wide), rig=rig)
 
 
