@@ -47,6 +47,7 @@ _MAX_SCENES_AT_FIRST = 8
 _ROTATION_PRIOR_RAD = float(np.radians(2.0))
 _OUT_OF_PLANE_PRIOR_RAD = 0.1
 _AZIMUTH_PRIOR_RAD = 2.0
+_MOST_ELEVATION_RAD = 0.5
 _CENTRE_PRIOR_SHARE = 0.01
 _SHOT_PRIOR = (4.0, 0.003, 0.005)
 _DISTORTION_PRIOR = 0.02
@@ -105,7 +106,9 @@ class _Scenes:
         wide_f = self.focal.wide_f_px * float(np.exp(x[3] - x[4]))
         tele = Camera(self.tele_hw, _intrinsics(tele_f, self.tele_hw, x[11:13]), _radial(x[9]))
         wide = Camera(self.wide_hw, _intrinsics(wide_f, self.wide_hw, x[5:7]), _radial(x[10]))
-        azimuth, elevation = self.azimuth_rad + x[7], x[8]
+        azimuth = self.azimuth_rad + x[7]
+        # A step that tries too much must not turn the baseline towards the scene, where nothing can be rectified.
+        elevation = _MOST_ELEVATION_RAD * np.tanh(x[8] / _MOST_ELEVATION_RAD)
         across = np.cos(elevation)
         centre = np.array([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)])
         turn = rigid_transform(rotation=x[:3], translation=np.zeros(3))[:3, :3]
