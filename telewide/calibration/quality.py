@@ -95,9 +95,7 @@ def at_least(name: str, value: float, limits: tuple[float, float], *, advice: st
         unit: of value and limits.
     """
     status: Status = "pass" if value >= limits[0] else "fail" if value < limits[1] else "warn"
-    return Check(
-        name, status, float(value), float(limits[0]), "" if status == "pass" else advice, unit=unit, bound="at least"
-    )
+    return _check(name, status, value, limits[0], advice=advice, unit=unit, bound="at least")
 
 
 def at_most(name: str, value: float, limits: tuple[float, float], *, advice: str, unit: str = "") -> Check:
@@ -111,9 +109,11 @@ def at_most(name: str, value: float, limits: tuple[float, float], *, advice: str
         unit: of value and limits.
     """
     status: Status = "pass" if value <= limits[0] else "fail" if value > limits[1] else "warn"
-    return Check(
-        name, status, float(value), float(limits[0]), "" if status == "pass" else advice, unit=unit, bound="at most"
-    )
+    return _check(name, status, value, limits[0], advice=advice, unit=unit, bound="at most")
+
+
+def _check(name: str, status: Status, value: float, limit: float, *, advice: str, unit: str, bound: Bound) -> Check:
+    return Check(name, status, float(value), float(limit), "" if status == "pass" else advice, unit=unit, bound=bound)
 
 
 def _with_unit(value: float, unit: str) -> str:

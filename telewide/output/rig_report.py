@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.quality import CalibrationQuality, Check
+from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import Calibration, CameraStd, ViewResult
 from telewide.capture.rundir import write_text
 from telewide.geometry.rig import Camera
@@ -38,6 +38,7 @@ from telewide.output.rig_charts import (
     residual_figures,
     view_figures,
 )
+from telewide.output.rig_checks import CHECKS_STYLE, advice_html, checks_html
 from telewide.output.rig_text import distortion_words
 
 FloatArray = NDArray[np.float64]
@@ -60,14 +61,6 @@ _VERDICTS = {
     "usable": "Usable: it works, and the warnings below say what would make it better.",
     "insufficient": "Not good enough: depth from this rig cannot be trusted. Below is what to photograph next.",
 }
-
-_STYLE = """
-.verdict { border-left: 6px solid var(--faint); padding: .4rem .9rem; margin: .8rem 0; font-size: 1.05rem; }
-.good { border-color: var(--good); } .usable { border-color: var(--warn); } .insufficient { border-color: var(--bad); }
-.mark { font-weight: 600; } .mark.pass { color: var(--good); } .mark.warn { color: var(--warn); }
-.mark.fail { color: var(--bad); }
-td.words, th.words { text-align: left; white-space: normal; max-width: 60ch; } td.words:empty { padding: 0; }
-"""
 
 
 def write_rig_report(
@@ -106,8 +99,8 @@ def rig_report_html(
     sections = [
         "<h1>Calibration of a wide and a tele lens</h1>",
         f'<p class="verdict {quality.verdict}">{_VERDICTS[quality.verdict]}<br>{_summary(calibration)}</p>',
-        section_html("Checks", _checks_html(quality.checks)),
-        section_html("What next", _advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
+        section_html("Checks", checks_html(quality.checks)),
+        section_html("What next", advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
         section_html(_marked("The rig", quality), _rig_html(calibration)),
         section_html(_marked("Coverage", quality), coverage_figures(calibration), css_class="charts"),
         section_html(_marked("Residuals", quality), residual_figures(calibration), css_class="charts"),
@@ -120,7 +113,7 @@ def rig_report_html(
         section_html(_marked("How the board was held", quality), pose_figure(calibration.views), css_class="charts"),
         section_html("Made by", facts_html(facts)),
     ]
-    return page_html("Calibration", sections, extra_style=CHART_STYLE + _STYLE)
+    return page_html("Calibration", sections, extra_style=CHART_STYLE + CHECKS_STYLE)
 
 
 def scan_lines_picture(tele: FloatMap, wide: FloatMap) -> FloatMap:
@@ -162,26 +155,6 @@ def _summary(calibration: Calibration) -> str:
         std_mm = calibration.transform_std.baseline_m * 1e3
         words.append(f"lenses {rig.baseline_m * 1e3:.2f} &plusmn; {std_mm:.2f} mm apart")
     return "; ".join(words) + "."
-
-
-def _checks_html(checks: Sequence[Check]) -> str:
-    rows = "".join(
-        f'<tr><td><span class="mark {check.status}">{check.status}</span></td>'
-        f'<td class="words">{html.escape(check.name)}</td>'
-        f"<td>{html.escape(check.found_words)}</td><td>{html.escape(check.limit_words)}</td>"
-        f'<td class="words">{html.escape(check.advice)}</td></tr>\n'
-        for check in checks
-    )
-    head = (
-        '<tr><th>result</th><th class="words">check</th><th>found</th><th>limit</th><th class="words">advice</th></tr>'
-    )
-    return f'<div class="scroll"><table><thead>{head}</thead>\n<tbody>{rows}</tbody></table></div>' if rows else ""
-
-
-def _advice_html(checks: Sequence[Check]) -> str:
-    worst_first = sorted((check for check in checks if check.advice), key=lambda check: check.status != "fail")
-    items = "".join(f"<li>{html.escape(check.advice)}</li>" for check in worst_first)
-    return f"<ol>{items}</ol>" if items else ""
 
 
 def _rig_html(calibration: Calibration) -> str:

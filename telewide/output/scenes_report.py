@@ -6,7 +6,6 @@ looks like. Letters: N matches of a capture.
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.quality import CalibrationQuality, Check
+from telewide.calibration.quality import CalibrationQuality
 from telewide.capture.rundir import write_text
 from telewide.correction.matches import Matches
 from telewide.correction.scene_rig import SceneRig, SideSource
@@ -30,6 +29,7 @@ from telewide.output.report import (
     section_html,
     thumbnail,
 )
+from telewide.output.rig_checks import CHECKS_STYLE, advice_html, checks_html
 from telewide.output.rig_figures import cell_counts, tele_outline_px
 from telewide.output.rig_report import scan_lines_picture
 from telewide.output.scenes_depth import scenes_depth_html
@@ -50,13 +50,6 @@ _SIDE_WORDS: dict[SideSource, str] = {
     "guessed": "a guess: state it with --wide-side",
     "contradicted": "stated; the matches contradict it",
 }
-_STYLE = """
-.verdict { border-left: 6px solid var(--faint); padding: .4rem .9rem; margin: .8rem 0; font-size: 1.05rem; }
-.good { border-color: var(--good); } .usable { border-color: var(--warn); } .insufficient { border-color: var(--bad); }
-.mark { font-weight: 600; } .mark.pass { color: var(--good); } .mark.warn { color: var(--warn); }
-.mark.fail { color: var(--bad); }
-td.words, th.words { text-align: left; white-space: normal; max-width: 60ch; }
-"""
 
 
 @dataclass(frozen=True)
@@ -105,8 +98,8 @@ def write_scenes_report(
     sections = [
         "<h1>A wide and a tele lens, from captures without a board</h1>",
         f'<p class="verdict {quality.verdict}">{_VERDICTS[quality.verdict]}<br>{_summary(found, views)}</p>',
-        section_html("Checks", _checks_html(quality.checks)),
-        section_html("What next", _advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
+        section_html("Checks", checks_html(quality.checks)),
+        section_html("What next", advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
         section_html("The rig", _rig_html(found)),
         section_html("Where the matches lie", "".join(_coverage_figures(found, views)), css_class="charts"),
         section_html("Held-out epipolar error", _error_figures(quality, views), css_class="charts"),
@@ -114,7 +107,7 @@ def write_scenes_report(
         section_html("A rectified pair", _rectified_html(rectified)),
         section_html("Made by", facts_html(facts)),
     ]
-    write_text(path, page_html("Rig from captures", sections, extra_style=CHART_STYLE + _STYLE))
+    write_text(path, page_html("Rig from captures", sections, extra_style=CHART_STYLE + CHECKS_STYLE))
     return path
 
 
@@ -134,26 +127,6 @@ def _baseline_words(found: SceneRig) -> str:
         return "the distance of the lenses is not known, so depth is relative"
     baseline_mm, std_mm = found.rig.baseline_m * 1e3, found.std.baseline_m * 1e3
     return f"lenses {baseline_mm:.2f} &plusmn; {std_mm:.2f} mm apart, as stated"
-
-
-def _checks_html(checks: Sequence[Check]) -> str:
-    rows = "".join(
-        f'<tr><td><span class="mark {check.status}">{check.status}</span></td>'
-        f'<td class="words">{html.escape(check.name)}</td><td>{html.escape(check.found_words)}</td>'
-        f'<td>{html.escape(check.limit_words)}</td><td class="words">{html.escape(check.advice)}</td></tr>\n'
-        for check in checks
-    )
-    names = ("check", "found", "limit", "advice")
-    head = "".join(f'<th class="{"" if name in names[1:3] else "words"}">{name}</th>' for name in names)
-    return (
-        f'<div class="scroll"><table><thead><tr><th>result</th>{head}</tr></thead>\n<tbody>{rows}</tbody></table></div>'
-    )
-
-
-def _advice_html(checks: Sequence[Check]) -> str:
-    worst_first = sorted((check for check in checks if check.advice), key=lambda check: check.status != "fail")
-    items = "".join(f"<li>{html.escape(check.advice)}</li>" for check in worst_first)
-    return f"<ol>{items}</ol>" if items else ""
 
 
 def _rig_html(found: SceneRig) -> str:
