@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from telewide.matching.conv3d import Conv3d
 from telewide.matching.sampling import upsample_convex, warp_to_ref
 from telewide.matching.volume import concatenate_views, correlate_groups, expect_disparity_at_mode
 from telewide.matching.window import VOLUME_STEP_PX, Window
@@ -32,10 +33,6 @@ DISPARITY_SCALE_PX = 16.0
 
 def _conv2d(c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> nn.Conv2d:
     return nn.Conv2d(c_in, c_out, 3, stride=stride, padding=dilation, dilation=dilation)
-
-
-def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Conv3d:
-    return nn.Conv3d(c_in, c_out, 3, stride=stride, padding=1)
 
 
 class _Residual2d(nn.Module):
@@ -91,20 +88,20 @@ class _Hourglass(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.down1 = nn.Sequential(
-            _conv3d(channels, 32, stride=2), nn.ReLU(inplace=True), _conv3d(32, 32), nn.ReLU(inplace=True)
+            Conv3d(channels, 32, stride=2), nn.ReLU(inplace=True), Conv3d(32, 32), nn.ReLU(inplace=True)
         )
         self.down2 = nn.Sequential(
-            _conv3d(32, 48, stride=2),
+            Conv3d(32, 48, stride=2),
             nn.ReLU(inplace=True),
-            _conv3d(48, 48),
+            Conv3d(48, 48),
             nn.ReLU(inplace=True),
-            _conv3d(48, 48),
+            Conv3d(48, 48),
             nn.ReLU(inplace=True),
         )
         self.lift2 = nn.Conv3d(48, 32, 1)
-        self.mix1 = nn.Sequential(_conv3d(32, 32), nn.ReLU(inplace=True))
+        self.mix1 = nn.Sequential(Conv3d(32, 32), nn.ReLU(inplace=True))
         self.lift1 = nn.Conv3d(32, channels, 1)
-        self.mix0 = nn.Sequential(_conv3d(channels, channels), nn.ReLU(inplace=True))
+        self.mix0 = nn.Sequential(Conv3d(channels, channels), nn.ReLU(inplace=True))
 
     def forward(self, x: Tensor) -> Tensor:
         half = self.down1(x)
@@ -125,7 +122,7 @@ class LiteMatching(nn.Module):
         super().__init__()
         self.thin = nn.Conv2d(MATCH_CHANNELS, THIN_CHANNELS, 1)
         self.enter = nn.Sequential(
-            _conv3d(CORRELATION_GROUPS + 2 * THIN_CHANNELS, VOLUME_CHANNELS), nn.ReLU(inplace=True)
+            Conv3d(CORRELATION_GROUPS + 2 * THIN_CHANNELS, VOLUME_CHANNELS), nn.ReLU(inplace=True)
         )
         self.hourglass = _Hourglass(VOLUME_CHANNELS)
         self.leave = nn.Conv3d(VOLUME_CHANNELS, 1, 1)

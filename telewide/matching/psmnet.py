@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from telewide.matching.conv3d import Conv3d
 from telewide.matching.volume import concatenate_views
 from telewide.matching.window import VOLUME_STEP_PX, Window
 
@@ -30,7 +31,7 @@ def _conv2d(c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, dilation
 
 
 def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(nn.Conv3d(c_in, c_out, 3, stride=stride, padding=1, bias=False), nn.BatchNorm3d(c_out))
+    return nn.Sequential(Conv3d(c_in, c_out, stride=stride, bias=False), nn.BatchNorm3d(c_out))
 
 
 def _deconv3d(c_in: int, c_out: int) -> nn.Sequential:
@@ -121,7 +122,7 @@ class PsmnetMatching(nn.Module):
         self.dres0 = nn.Sequential(_conv3d(2 * FEATURE_CHANNELS, c), nn.ReLU(), _conv3d(c, c), nn.ReLU())
         self.dres1 = nn.Sequential(_conv3d(c, c), nn.ReLU(), _conv3d(c, c))
         self.hourglass = _Hourglass(c)
-        self.classify = nn.Sequential(_conv3d(c, c), nn.ReLU(), nn.Conv3d(c, 1, 3, padding=1, bias=False))
+        self.classify = nn.Sequential(_conv3d(c, c), nn.ReLU(), Conv3d(c, 1, bias=False))
 
     def forward(self, ref: tuple[Tensor], src: tuple[Tensor], window: Window) -> tuple[list[Tensor], Tensor]:
         """[Disparity (B, H, W), px] and the volume (B, D, H/4, W/4)."""
