@@ -32,7 +32,7 @@ MIN_MATCHES = 20
 AT_ONCE_S = 0.1
 """Exposures further apart than this were not taken at once."""
 LARGEST_RESIDUAL_PX = 0.5
-"""A median misfit of held-out matches above this says that wide stood elsewhere."""
+"""A median misfit of held-out matches above this says that wide stood elsewhere; px of the views that are matched."""
 _HELD_OUT_SHARE = 0.3
 _OFFSET_PRIOR_PX = 40.0
 _ROLL_PRIOR_RAD = 0.01
@@ -133,8 +133,8 @@ def fit_shot(
     """Fit what moved between the calibration and this shot.
 
     A small model first: offset across the baseline, roll, focal scale; a tilt of the lens where held-out matches gain
-    by it. Where the photos were not taken at once, or it leaves more than 0.5 px on held-out matches, the pose of
-    wide, if that explains them clearly better.
+    by it. Where the photos were not taken at once, or it leaves more than 0.5 px of the matched views on held-out
+    matches, the pose of wide, if that explains them clearly better.
 
     Args:
         matches: of the photos as captured, as :func:`telewide.correction.photo_matches.find_photo_matches` finds them.
@@ -150,7 +150,7 @@ def fit_shot(
     to_fit, held_out = split_matches(matches, held_out_share=_HELD_OUT_SHARE, seed=seed)
     best = _small_model(to_fit, held_out, rig=rig, seed=seed)
     after_px = _median_misfit_px(held_out, rig, best)
-    if _is_late(seconds_between) or after_px > LARGEST_RESIDUAL_PX:
+    if _is_late(seconds_between) or _is_much(after_px, rig):
         best = _pose(to_fit, held_out, rig=rig, small=best, is_late=_is_late(seconds_between), seed=seed)
         after_px = _median_misfit_px(held_out, rig, best)
     n = _n_agreeing(matches, rig, best)
@@ -225,8 +225,7 @@ def _pose(
         return posed
     if is_late:
         return replace(small, is_at_once=False, notes=(_NOT_AT_ONCE, *(() if pose.is_usable else pose.notes)))
-    left_px = _median_misfit_px(held_out, rig, small)
-    is_much = left_px > LARGEST_RESIDUAL_PX * matching_unit_px(rig.tele.hw)
+    is_much = _is_much(_median_misfit_px(held_out, rig, small), rig)
     return replace(small, notes=(_LEFT_OVER, *(() if pose.is_usable else pose.notes)) if is_much else ())
 
 
@@ -245,6 +244,10 @@ def _misfit_px(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> 
 
 def _median_misfit_px(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> float:
     return float(np.median(np.abs(_misfit_px(matches, rig, refinement))))
+
+
+def _is_much(median_misfit_px: float, rig: StereoRig) -> bool:
+    return median_misfit_px > LARGEST_RESIDUAL_PX * matching_unit_px(rig.tele.hw)
 
 
 def _n_agreeing(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> int:

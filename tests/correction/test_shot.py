@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rig_worlds import measured, phone_rig, seen_points
+from rig_worlds import measured, phone_rig, seen_points, wide_centre
 
 from telewide.capture.images import read_image
 from telewide.correction.epipolar import epipolar_misfit_px, moved_rig, vertical_misfit_px
@@ -122,6 +122,16 @@ def test_shots_apart_in_time_have_no_scale(rng: np.random.Generator) -> None:
     assert "relative" in late.notes[0]
     assert not refined_rig(rig, late).is_scale_known
     assert fit_shot(measured(seen_points(rig, rng), rng), rig=rig, seconds_between=0.02).is_at_once
+
+
+def test_large_photos_keep_their_scale_where_small_ones_do(rng: np.random.Generator) -> None:
+    for width_px in (1600, 4000):
+        rig = phone_rig(width_px=width_px)
+        elsewhere = moved_rig(rig, wide_centre=wide_centre(rig) + np.array([0, 0, 0.2]))
+        unit_px = width_px / 1600
+        found = fit_shot(measured(seen_points(elsewhere, rng), rng, noise_px=0.1 * unit_px), rig=rig)
+        assert 0.3 < found.residual_after_px / unit_px < 0.5
+        assert found.is_at_once
 
 
 def test_the_same_seed_gives_the_same_fit(rng: np.random.Generator) -> None:
