@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
-from telewide.capture.exif import read_photo_facts, seconds_between
+from telewide.capture.exif import least_seconds_between, read_photo_facts
 from telewide.capture.pair import Capture, CaptureSet, PhotoPair
 from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, factor_from_exif
 from telewide.correction.moving import MovedRegion, find_moving, moving_note
@@ -39,7 +39,7 @@ class ShotFacts:
     """What the two photos of a shot state about themselves.
 
     Attributes:
-        seconds_between: between the exposures; None where EXIF does not tell.
+        seconds_between: between the exposures, at least; None where EXIF does not tell.
         asymmetry: the asymmetric factor by EXIF; None likewise.
     """
 
@@ -184,7 +184,7 @@ def read_shot_facts(capture: Capture) -> ShotFacts:
     """Read what the two photos of a capture state about themselves."""
     tele, wide = (read_photo_facts(path) for path in (capture.tele_path, capture.wide_path))
     return ShotFacts(
-        None if tele.taken is None or wide.taken is None else seconds_between(tele.taken, wide.taken),
+        least_seconds_between(tele, wide),
         factor_from_exif(tele_f35_mm=tele.f35_mm, wide_f35_mm=wide.f35_mm, tele_hw=tele.hw, wide_hw=wide.hw),
     )
 

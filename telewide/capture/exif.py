@@ -49,7 +49,8 @@ class PhotoFacts:
         model: of the phone.
         focal_length_mm: physical: which lens.
         f35_mm: focal length of equal field of view on 36 x 24 mm, digital crop included.
-        taken: moment of exposure with fractions of a second; with a time zone where the photo states one.
+        taken: moment of exposure; with a time zone where the photo states one.
+        taken_step_s: what that moment is cut off to: 1 where the photo states whole seconds, 0.001 for three digits.
         orientation: EXIF orientation, 1 to 8.
         digital_zoom_ratio: 1 for none.
         subject_distance_m: where the lens was focused; inf for infinity.
@@ -62,6 +63,7 @@ class PhotoFacts:
     focal_length_mm: float | None = None
     f35_mm: float | None = None
     taken: datetime | None = None
+    taken_step_s: float | None = None
     orientation: int = 1
     digital_zoom_ratio: float | None = None
     subject_distance_m: float | None = None
@@ -153,6 +155,22 @@ def seconds_between(first: datetime, second: datetime) -> float:
     return (second - first).total_seconds()
 
 
+def least_seconds_between(first: PhotoFacts, second: PhotoFacts) -> float | None:
+    """Return how far apart two photos were taken at least, s: whole seconds may differ by 1 for photos taken at once.
+
+    Args:
+        first: a photo.
+        second: another one.
+
+    Returns:
+        0 or more; None where one of them does not state its moment.
+    """
+    if first.taken is None or second.taken is None:
+        return None
+    step_s = max(first.taken_step_s or 0.0, second.taken_step_s or 0.0)
+    return max(0.0, abs(seconds_between(first.taken, second.taken)) - step_s)
+
+
 def _spoken(kind: str) -> str:
     return (
         "RAW" if kind == "raw" else f"{kind.upper()}, which the phone has processed" if kind == "jpeg" else kind.upper()
@@ -186,6 +204,7 @@ def _facts(kind: str, tags: Tags, hw: tuple[int, int] | None) -> PhotoFacts:
     orientation = int(_number(tags.get(_ORIENTATION)) or 1)
     is_turned = orientation in {5, 6, 7, 8}
     zoom = _number(tags.get(_DIGITAL_ZOOM))
+    taken, taken_step_s = _moment(tags)
     return PhotoFacts(
         kind=kind,
         hw=(hw[1], hw[0]) if hw and is_turned else hw,
@@ -193,7 +212,8 @@ def _facts(kind: str, tags: Tags, hw: tuple[int, int] | None) -> PhotoFacts:
         model=_text(tags.get(_MODEL)) or _text(tags.get(_UNIQUE_MODEL)),
         focal_length_mm=_within(_number(tags.get(_FOCAL_LENGTH)), _LONGEST_FOCAL_MM),
         f35_mm=_within(_number(tags.get(_F35)), _LONGEST_FOCAL_MM),
-        taken=_moment(tags),
+        taken=taken,
+        taken_step_s=taken_step_s,
         orientation=orientation if 1 <= orientation <= 8 else 1,
         digital_zoom_ratio=1.0 if zoom == 0 else zoom,  # 0 states that there was none
         subject_distance_m=_distance_m(tags.get(_DISTANCE)),
@@ -237,7 +257,8 @@ def _text(value: object) -> str | None:
     return (value.replace("\0", " ").strip() or None) if isinstance(value, str) else None
 
 
-def _moment(tags: Tags) -> datetime | None:
+def _moment(tags: Tags) -> tuple[datetime | None, float | None]:
+    """Return the moment of exposure, and what it is cut off to, s."""
     for date_tag, fraction_tag, offset_tag in _DATES:
         date = _text(tags.get(date_tag))
         if not date:
@@ -247,9 +268,9 @@ def _moment(tags: Tags) -> datetime | None:
         except ValueError:
             continue
         fraction = _text(tags.get(fraction_tag)) or ""
-        if fraction.isdecimal():
-            taken += timedelta(seconds=float(f"0.{fraction}"))
+        digits = fraction if fraction.isdecimal() else ""
+        taken += timedelta(seconds=float(f"0.{digits}0"))
         with suppress(ValueError):
-            return taken.replace(tzinfo=datetime.strptime(_text(tags.get(offset_tag)) or "", "%z").tzinfo)
-        return taken
-    return None
+            taken = taken.replace(tzinfo=datetime.strptime(_text(tags.get(offset_tag)) or "", "%z").tzinfo)
+        return taken, 10.0 ** -len(digits)
+    return None, None

@@ -206,7 +206,7 @@ def _joined_twins(photos: Iterable[RollPhoto]) -> Iterator[RollPhoto]:
 
 def _completed(facts: PhotoFacts, other: PhotoFacts) -> PhotoFacts:
     """Fill in from the twin what a RAW leaves out; names of the camera come from one of the two."""
-    names = ("focal_length_mm", "f35_mm", "taken", "digital_zoom_ratio", "subject_distance_m")
+    names = ("focal_length_mm", "f35_mm", "taken", "taken_step_s", "digital_zoom_ratio", "subject_distance_m")
     missing = [name for name in names if getattr(facts, name) is None]
     if facts.make is None or facts.model is None:
         missing += ["make", "model"]

@@ -139,7 +139,7 @@ def fit_shot(
     Args:
         matches: of the photos as captured, as :func:`telewide.correction.photo_matches.find_photo_matches` finds them.
         rig: for photos of these sizes.
-        seconds_between: between the two exposures, as EXIF tells; None where it does not.
+        seconds_between: between the two exposures, at least, as EXIF tells; None where it does not.
         seed: seed of the split into matches to fit to and held-out ones.
 
     Returns:

@@ -11,10 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from capture.dng import write_dng
-from capture.roll import ULTRA, WIDE, exif_of, write_photo
+from capture.roll import EXIF_IFD, SUBSECOND, ULTRA, WIDE, exif_of, write_photo
 from PIL import Image
 
-from telewide.capture.exif import PhotoFacts, image_pipeline, pipeline_conflict, read_photo_facts, seconds_between
+from telewide.capture.exif import (
+    PhotoFacts,
+    image_pipeline,
+    least_seconds_between,
+    pipeline_conflict,
+    read_photo_facts,
+    seconds_between,
+)
 from telewide.capture.images import focal_length_mm
 from telewide.errors import InputError, UsageError
 
@@ -32,6 +39,7 @@ def test_everything_a_jpeg_states(tmp_path: Path) -> None:
         focal_length_mm=4.25,
         f35_mm=26,
         taken=datetime(2026, 5, 1, 12, 0, 1, 250_000, tzinfo=timezone(timedelta(hours=2))),
+        taken_step_s=0.001,
         orientation=6,
         digital_zoom_ratio=2,
         subject_distance_m=0.75,
@@ -105,6 +113,29 @@ def test_seconds_count_time_zones_where_both_have_one() -> None:
     assert seconds_between(east, noon.replace(tzinfo=UTC)) == 7200
     assert seconds_between(east, noon) == 0
     assert seconds_between(noon, noon + timedelta(milliseconds=1500)) == 1.5
+
+
+@pytest.mark.parametrize(
+    ("seconds", "has_fractions", "least_s"),
+    [
+        ((1.0, 2.0), (False, False), 0.0),  # 1.99 and 2.00 are possible
+        ((1.0, 2.0), (True, False), 0.0),
+        ((3.0, 1.0), (False, False), 1.0),
+        ((1.0, 2.0), (True, True), 0.999),
+        ((1.25, 1.25), (True, True), 0.0),
+    ],
+)
+def test_whole_seconds_may_differ_for_photos_taken_at_once(
+    tmp_path: Path, seconds: tuple[float, float], has_fractions: tuple[bool, bool], least_s: float
+) -> None:
+    photos = []
+    for number, (second, has_fraction) in enumerate(zip(seconds, has_fractions, strict=True)):
+        exif = exif_of(**WIDE, second=second)
+        if not has_fraction:
+            del exif.get_ifd(EXIF_IFD)[SUBSECOND]
+        photos.append(read_photo_facts(write_photo(tmp_path / f"{number}.jpg", exif=exif)))
+    assert least_seconds_between(*photos) == pytest.approx(least_s)
+    assert least_seconds_between(photos[0], PhotoFacts("jpeg")) is None
 
 
 @pytest.mark.parametrize(
