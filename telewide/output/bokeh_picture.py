@@ -72,6 +72,21 @@ def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m:
         raise refusal
 
 
+def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None) -> str | None:
+    """Tell why one capture cannot have the bokeh asked for.
+
+    Args:
+        options: as asked for.
+        baseline_m: distance of the lenses in this shot, m; None where it is not known.
+
+    Returns:
+        One sentence, or None where nothing is missing.
+    """
+    if options.f_number is None or baseline_m is not None:
+        return None
+    return "--f-number needs the distance of the two lenses, not known for this shot; --strength gives the blur in px"
+
+
 def focus_note(name: str, focus: Focus, *, depth_m: float | None, options: BokehOptions) -> str:
     """Say what a bokeh picture is focused on, so that its owner can choose another place.
 
@@ -112,7 +127,13 @@ def bokeh_picture(
 
     Returns:
         (H, W, 3) sRGB.
+
+    Raises:
+        UsageError: an f-number without the distance of the lenses.
     """
+    refusal = why_no_bokeh(options, baseline_m=baseline_m)
+    if refusal is not None:
+        raise UsageError(refusal)
     if focus is None:
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
     focus_px = focus.disparity_px

@@ -24,7 +24,7 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error
-from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, focus_note
+from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, focus_note, why_no_bokeh
 from telewide.output.depth import DepthResult, depth_result, depth_result_of_rig
 from telewide.output.edges import follow_edges
 from telewide.output.export import write_depth
@@ -160,7 +160,11 @@ def _make(
     names = [path.name for path in written.paths]
     notes = written.notes
     focused: dict[str, float] = {}
-    if bokeh is not None:
+    refusal = None if bokeh is None else why_no_bokeh(bokeh, baseline_m=result.baseline_m)
+    if refusal is not None:
+        (folder / "bokeh.jpg").unlink(missing_ok=True)  # of another blur
+        notes = (*notes, f"{source.name}: bokeh.jpg left out: {refusal}")
+    elif bokeh is not None:
         names.append("bokeh.jpg")
         focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
         picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)

@@ -1,0 +1,56 @@
+"""One capture from its photos to its files: a given match, and what is made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from telewide.capture.images import write_image
+from telewide.capture.pair import Capture, CaptureFacts
+from telewide.correction.held_out import HeldOut
+from telewide.errors import UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
+from telewide.output.capture_depth import DepthOutcome, depth_of_capture
+
+HW = (60, 80)
+FACTS = CaptureFacts(rectified=True)
+
+
+def stepped(_ref: FloatMap, _src: FloatMap) -> DisparityMap:
+    """Far on the left, near on the right."""
+    disparity_px = np.where(np.arange(HW[1]) < HW[1] // 2, 4.0, 12.0)[None].repeat(HW[0], axis=0).astype(np.float32)
+    return DisparityMap(disparity_px, np.ones(HW, np.float32), np.ones(HW, np.bool_))
+
+
+@pytest.fixture
+def capture(tmp_path: Path, rng: np.random.Generator) -> Capture:
+    paths = [tmp_path / "captures" / "one" / f"{view}.png" for view in ("tele", "wide")]
+    for path in paths:
+        write_image(path, rng.random((*HW, 3)).astype(np.float32))
+    return Capture("one", *paths)
+
+
+def made(capture: Capture, folder: Path, *, bokeh: BokehOptions, facts: CaptureFacts = FACTS) -> DepthOutcome:
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    key = {"bokeh": vars(bokeh), "baseline_m": facts.baseline_m}
+    outcome = depth_of_capture(capture, held_out, folder, facts=facts, match=stepped, bokeh=bokeh, key=key)
+    assert isinstance(outcome, DepthOutcome)
+    return outcome
+
+
+def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_path: Path) -> None:
+    strong, wide_open = BokehOptions(strength_px=3.0), BokehOptions(f_number=1.8)
+    picture = tmp_path / "run" / "bokeh.jpg"
+    assert picture in made(capture, tmp_path / "run", bokeh=strong).paths
+    outcome = made(capture, tmp_path / "run", bokeh=wide_open)
+    assert not picture.exists()
+    assert picture not in outcome.paths
+    assert any("--f-number" in note and "--strength" in note for note in outcome.notes)
+    known = CaptureFacts(rectified=True, baseline_m=0.012)
+    assert picture in made(capture, tmp_path / "run", bokeh=wide_open, facts=known).paths
+    disparity = stepped(np.zeros(HW), np.zeros(HW))
+    with pytest.raises(UsageError, match="--strength"):
+        bokeh_picture(np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
