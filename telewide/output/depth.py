@@ -71,7 +71,7 @@ def depth_result(name: str, disparity: DisparityMap, *, facts: CaptureFacts | No
         )
     return DepthResult(
         name=name,
-        disparity=disparity,
+        disparity=disparity if depth_m is None else _in_front(disparity, depth_m),
         K=None if facts.f_px is None else _centred_intrinsics(facts.f_px, hw=disparity.disparity_px.shape),
         baseline_m=facts.baseline_m,
         depth_m=depth_m,
@@ -115,9 +115,13 @@ def depth_result_of_rig(
         baseline_m=rig.baseline_m,
         precision=precision or DepthPrecision(),
     )
-    # What seems to lie beyond infinity was mismatched, or the lens had shifted: it has no depth.
-    measured = replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
-    return replace(result, disparity=measured, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
+    in_front = _in_front(disparity, depth_m)
+    return replace(result, disparity=in_front, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
+
+
+def _in_front(disparity: DisparityMap, depth_m: FloatMap) -> DisparityMap:
+    """What seems to lie beyond infinity was mismatched, or the lens had shifted: it was not measured."""
+    return replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
 
 
 def _centred_intrinsics(f_px: float, *, hw: tuple[int, ...]) -> FloatMatrix:

@@ -64,10 +64,17 @@ def test_a_rig_gives_metres_and_how_sure_they_are(disparity: DisparityMap) -> No
     np.testing.assert_array_equal(result.distortion, rig.tele.distortion)
 
 
-def test_what_lies_beyond_infinity_is_not_valid() -> None:
-    disparity_px = np.array([[4.0, 2.0, 0.0, -3.0]], np.float32)
+@pytest.mark.parametrize("has_rig", [True, False])
+def test_what_lies_beyond_infinity_is_not_valid(has_rig: bool) -> None:
+    doffs_px = 0.0 if has_rig else 3.0
+    disparity_px = np.array([[4.0, 2.0, 0.0, -3.0]], np.float32) - np.float32(doffs_px)
     disparity = DisparityMap(disparity_px, np.ones((1, 4), np.float32), np.ones((1, 4), np.bool_))
-    result = depth_result_of_rig("a", disparity, rig=phone(shrink=250))
+    facts = CaptureFacts(f_px=900.0, baseline_m=0.012, doffs_px=doffs_px)
+    result = (
+        depth_result_of_rig("a", disparity, rig=phone(shrink=250))
+        if has_rig
+        else depth_result("a", disparity, facts=facts)
+    )
     assert result.depth_m is not None
     np.testing.assert_array_equal(result.disparity.valid, [[True, True, False, False]])
     np.testing.assert_array_equal(np.isfinite(result.depth_m), result.disparity.valid)
