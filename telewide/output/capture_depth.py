@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from telewide.capture.images import read_image, write_image
@@ -227,11 +228,9 @@ def on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
     wh = (photo.shape[1], photo.shape[0])
     disparity_px, confidence, valid = working.disparity_px, working.confidence, working.valid
     if disparity_px.shape != photo.shape[:2]:
-        rows, columns = (
-            np.minimum(np.arange(size) * small // size, small - 1)
-            for size, small in zip(photo.shape[:2], disparity_px.shape, strict=True)
-        )
         disparity_px = resize_disparity(disparity_px, wh=wh)
-        confidence, valid = confidence[np.ix_(rows, columns)], valid[np.ix_(rows, columns)]
+        # Of the same working pixel as the disparity.
+        confidence = np.asarray(cv2.resize(confidence, wh, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
+        valid = cv2.resize(valid.astype(np.uint8), wh, interpolation=cv2.INTER_NEAREST_EXACT) > 0
     followed_px = follow_edges(disparity_px, photo, confidence=confidence, valid=valid)
     return DisparityMap(followed_px, confidence, valid)

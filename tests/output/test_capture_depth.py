@@ -13,7 +13,7 @@ from telewide.correction.held_out import HeldOut
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
-from telewide.output.capture_depth import DepthOutcome, depth_of_capture
+from telewide.output.capture_depth import DepthOutcome, depth_of_capture, on_photo
 
 HW = (60, 80)
 FACTS = CaptureFacts(rectified=True)
@@ -54,3 +54,13 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
     disparity = stepped(np.zeros(HW), np.zeros(HW))
     with pytest.raises(UsageError, match="--strength"):
         bokeh_picture(np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
+
+
+@pytest.mark.parametrize("width", [100, 201, 209])
+def test_confidence_and_validity_stay_with_their_disparity(width: int, rng: np.random.Generator) -> None:
+    disparity_px = np.tile(np.arange(HW[1], dtype=np.float32) / 100, (HW[0], 1))  # no jump: edges move nothing
+    working = DisparityMap(disparity_px, disparity_px, np.arange(HW[1])[None].repeat(HW[0], axis=0) % 2 == 0)
+    on = on_photo(working, rng.random((90, width, 3)).astype(np.float32))
+    column = np.rint(on.disparity_px * (HW[1] / width) * 100).astype(int)
+    np.testing.assert_array_equal(np.rint(on.confidence * 100).astype(int), column)
+    np.testing.assert_array_equal(on.valid, column % 2 == 0)
