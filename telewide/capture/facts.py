@@ -39,7 +39,7 @@ class CaptureFacts:
         format: version of the file format.
         rectified: whether corresponding points lie on the same row.
         asymmetry: focal length of tele over that of wide, in pixels of the photos as captured, >= 1.
-        reference: the view the depth is for.
+        reference: the view the depth is for; always tele so far.
         rotated_deg: how far the photos were turned to make the baseline horizontal.
         baseline_m: distance of the two lenses, m.
         f_px: focal length of the rectified reference view, px.
@@ -50,7 +50,7 @@ class CaptureFacts:
     format: Literal[1] = 1
     rectified: bool | None = None
     asymmetry: float | None = None
-    reference: Literal["tele", "wide"] = "tele"
+    reference: Literal["tele"] = "tele"
     rotated_deg: Literal[0, 90, 180, 270] = 0
     baseline_m: float | None = None
     f_px: float | None = None

@@ -18,13 +18,13 @@ def _facts(folder: Path, text: str) -> CaptureFacts:
 
 def test_all_keys_are_read(tmp_path: Path) -> None:
     text = (
-        "format: 1\nrectified: true\nasymmetry: 3\nreference: wide\nrotated_deg: 90\n"
+        "format: 1\nrectified: true\nasymmetry: 3\nreference: tele\nrotated_deg: 90\n"
         "baseline_m: 0.012\nf_px: 3200.5\ndoffs_px: -12\nnotes: Grüße\n"
     )
     expected = CaptureFacts(
         rectified=True,
         asymmetry=3.0,
-        reference="wide",
+        reference="tele",
         rotated_deg=90,
         baseline_m=0.012,
         f_px=3200.5,
@@ -60,7 +60,8 @@ def test_an_unknown_key_names_the_nearest(tmp_path: Path) -> None:
         ("asymmetry: three\n", r"asymmetry is 'three'; expected a valid number"),
         ("asymmetry: 0.5\n", r"asymmetry is 0\.5; it is f_tele / f_wide"),
         ("asymmetry: .nan\n", r"asymmetry is nan; a finite number"),
-        ("reference: left\n", r"reference is 'left'; expected 'tele' or 'wide'"),
+        ("reference: left\n", r"reference is 'left'; expected 'tele'"),
+        ("reference: wide\n", r"reference is 'wide'; expected 'tele'"),
         ("rotated_deg: 45\n", r"rotated_deg is 45; expected 0, 90, 180 or 270"),
         ("format: 2\n", r"format is 2; expected 1"),
         ("baseline_m: 12\n", r"baseline_m is 12\.0; metres were expected"),
