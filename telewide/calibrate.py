@@ -24,7 +24,7 @@ from telewide.calibration.result import Calibration
 from telewide.calibration.rig_file import RigFacts, write_rig
 from telewide.calibration.shots import BoardShot, detect_shots, find_board_shots
 from telewide.calibration.solve import calibrate_rig
-from telewide.capture.exif import image_pipeline, pipeline_conflict, read_photo_facts
+from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, TelewideError
@@ -110,7 +110,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
     """
     shots = find_board_shots(boards)
     observer.said(f"{len(shots)} shots in {boards}")
-    pipeline = _image_pipeline(shots)
+    pipeline = common_pipeline(_paths(shots))
     chosen = _chosen_board(shots, options, observer)
     tick = observer.detecting(len(shots))
     detected = detect_shots(shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes)
@@ -134,25 +134,6 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
     write_rig(options.out, calibration, facts=facts)
     report = _write_report(boards, shots, calibration, chosen=chosen, options=options)
     return CalibrationRun(calibration, options.out, report, facts, notes)
-
-
-def _image_pipeline(shots: Sequence[BoardShot]) -> str | None:
-    """The one way all photos were made, the most telling name of it; photos made in two ways have no rig in common."""
-    named: tuple[Path, str] | None = None
-    for path in _paths(shots):
-        try:
-            found = image_pipeline(path)
-        except InputError:  # no photo: the detection says so, and goes on with the others
-            continue
-        conflict = pipeline_conflict(named[1], found) if named is not None else None
-        if named is not None and conflict is not None:
-            raise InputError(
-                f"{named[0]} and {path} were not made in the same way ({named[1]}, {found}); no rig holds for both",
-                hint="keep photos of one phone and of one kind, RAW or not, in the folder",
-            )
-        if named is None or named[1].endswith(":unknown"):
-            named = path, found
-    return named[1] if named is not None else None
 
 
 def _focus_distance_m(shots: Sequence[BoardShot]) -> float | None:

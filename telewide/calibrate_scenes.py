@@ -24,9 +24,10 @@ from telewide.calibrate import RIG_FILE, CalibrationObserver
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import CameraStd, TransformStd
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
-from telewide.capture.exif import image_pipeline, read_photo_facts
+from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
-from telewide.capture.pair import Capture, find_captures
+from telewide.capture.lenses import with_checked_lenses
+from telewide.capture.pair import Capture, Problem, find_captures
 from telewide.correction.matches import Matches
 from telewide.correction.photo_matches import find_photo_matches
 from telewide.correction.rectify import rectify_pair
@@ -125,16 +126,20 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
 
     Raises:
         UsageError: no such folder, or wide cannot stand where it is stated to.
-        InputError: the photos do not say their focal length, or too few of them match.
+        InputError: the photos do not say their focal length, were not made in one way, or too few of them match.
     """
-    found = find_captures(captures)
+    found = with_checked_lenses(find_captures(captures))
+    problems = tuple(_spoken(problem) for problem in found.problems)
+    if not found.captures:
+        raise InputError(f"{captures}: no capture can be used" + "".join(f"\n  {line}" for line in problems))
     observer.said(f"{len(found.captures)} captures in {captures}")
+    pipeline = common_pipeline(path for capture in found.captures for path in (capture.tele_path, capture.wide_path))
     focal_mm = options.f35_mm or _stated_f35_mm(captures, found.captures)
     matched = _matched(found.captures, focal_mm=focal_mm, tick=observer.detecting(len(found.captures)))
     focal = _focal_prior(focal_mm, matched.sizes)
     evidence = _solved(matched, focal=focal, options=options)
     facts = RigFacts(
-        image_pipeline=image_pipeline(matched.captures[0].tele_path),
+        image_pipeline=pipeline,
         scale_verified=False,  # a distance that somebody states is not measured in these photos
         source="scenes",
         notes=evidence.whole.notes,
@@ -142,7 +147,11 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
     stored = _stored(evidence.whole, quality=judge_scenes(evidence, focal=focal), facts=facts)
     write_stored_rig(options.out, stored)
     report = _write_report(captures, matched, evidence, stored=stored, options=options)
-    return SceneRun(stored, options.out, report, (*evidence.whole.notes, *matched.notes))
+    return SceneRun(stored, options.out, report, (*evidence.whole.notes, *problems, *matched.notes))
+
+
+def _spoken(problem: Problem) -> str:
+    return f"{'left out: ' if problem.is_skipped else ''}{problem.name}: {problem.message}"
 
 
 def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, float]:

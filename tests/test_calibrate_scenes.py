@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from capture.roll import TELE, WIDE, exif_of, write_photo
 from numpy.typing import NDArray
 from photographed_boards import drawn_rig
 
@@ -116,6 +117,33 @@ def test_photos_without_exif_need_their_focal_lengths(
     assert "--f35" in capsys.readouterr().err
     assert run_cli("calibrate", "--from-scenes", "--f35", "80,27") == 3  # one capture, and nothing to match in it
     assert not (tmp_path / "rig.yaml").exists()
+
+
+def write_stating(path: Path, **stated: object) -> None:
+    write_photo(path, exif=exif_of(**stated))  # type: ignore[arg-type]
+
+
+def test_a_crop_of_wide_has_no_say(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cropped = {**WIDE, "f35": TELE["f35"]}
+    for name, tele in (("one", TELE), ("two", cropped)):
+        write_stating(tmp_path / name / "tele.jpg", **tele)
+        write_stating(tmp_path / name / "wide.jpg", **WIDE)
+    assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3  # nothing matches in noise
+    assert "1 captures" in capsys.readouterr().err
+    write_stating(tmp_path / "one" / "tele.jpg", **cropped)
+    assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3
+    told = capsys.readouterr().err
+    assert "no capture can be used" in told
+    assert "left out: one" in told
+    assert "digital crop of the wide lens" in told
+
+
+def test_photos_made_in_two_ways_have_no_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, model in (("one", "Phone 1"), ("two", "Phone 2")):
+        for view, lens in (("tele", TELE), ("wide", WIDE)):
+            write_stating(tmp_path / name / f"{view}.jpg", **lens, model=model)
+    assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3
+    assert "not made in the same way" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -146,6 +146,35 @@ def pipeline_conflict(calibrated: str, found: str) -> str | None:
     if "unknown" not in (camera, found_camera) and camera != found_camera:
         return f"the calibration is of a {camera}, this photo of a {found_camera}"
     return None
+
+
+def common_pipeline(paths: Iterable[Path]) -> str | None:
+    """Name the one way in which all photos of a calibration were made: photos made in two ways have no rig in common.
+
+    Args:
+        paths: the photos; what is no photo has no say.
+
+    Returns:
+        `image_pipeline` of the first photo that names its camera, or of the first of all; None without photos.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: two photos were made in different ways.
+    """
+    named: tuple[Path, str] | None = None
+    for path in paths:
+        try:
+            found = image_pipeline(path)
+        except InputError:
+            continue
+        if named is not None and pipeline_conflict(named[1], found) is not None:
+            raise InputError(
+                f"{named[0]} and {path} were not made in the same way ({named[1]}, {found}); no rig holds for both",
+                hint="keep photos of one phone and of one kind, RAW or not, in the folder",
+            )
+        if named is None or named[1].endswith(":unknown"):
+            named = path, found
+    return named[1] if named is not None else None
 
 
 def seconds_between(first: datetime, second: datetime) -> float:
