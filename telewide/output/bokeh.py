@@ -21,7 +21,7 @@ from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FloatImage = NDArray[np.float32]
 
-LARGEST_RADIUS_SHARE = 0.25  # of the shorter side; a larger disk leaves no picture
+LARGEST_RADIUS_SHARE = 0.1  # of the shorter side: f/1.8 at half a metre stays below; larger disks would take many GB
 
 
 def render_bokeh(
@@ -29,7 +29,7 @@ def render_bokeh(
 ) -> FloatImage:
     """Blur a sharp photo as a wide-open lens would, focused at one disparity.
 
-    Radii above a quarter of the shorter side are taken for that quarter.
+    Radii above a tenth of the shorter side are taken for that tenth.
 
     Args:
         image_srgb: (H, W, 3) float32, the sharp photo; values above 1 (recovered highlights) are welcome.

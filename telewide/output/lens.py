@@ -32,7 +32,8 @@ BIN_PX = 1.0  # finer bins gain nothing, bins of 2 px cost 2 dB
 BIN_GROWTH = 0.12  # bins may widen with their radius: a large disk forgives more
 COARSE_RADIUS_PX = 8.0  # disks above this are drawn at half size, above twice this at a quarter, ...
 TILE_PX = 1024
-MAX_THREADS = 4  # a tile being rendered takes about 0.3 GB
+MAX_THREADS = 4
+PX_AT_ONCE = 8_000_000  # in all threads, what tiles see around themselves counted in: 260 bytes each, 2 GB
 QUARTERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))  # signs of y and x
 SUPERSAMPLING = 8
 FILL_PX = 5  # hidden colours are means over this square: what nobody saw is better guessed smooth
@@ -75,7 +76,8 @@ class _Box:
 def spread_light(light: FloatImage, radius_px: FloatMap) -> FloatImage:
     """Render a photo through a lens, given the blur radius of each pixel.
 
-    Works tile by tile, so that memory stays bounded; a tile sees as far around itself as its pixels depend on.
+    Works tile by tile, so that memory stays bounded; a tile sees as far around itself as its pixels depend on. The
+    larger the disks, the fewer tiles at once, down to one.
 
     Args:
         light: (H, W, 3) float32, linear light of the sharp photo.
@@ -88,7 +90,7 @@ def spread_light(light: FloatImage, radius_px: FloatMap) -> FloatImage:
     largest_px = float(np.abs(bins.radius_px).max())
     coarsest = _coarseness(largest_px)
     halo_px = _round_up(math.ceil(3 * largest_px) + 8, coarsest)
-    tile_px = _round_up(max(TILE_PX, 2 * halo_px), coarsest)
+    tile_px = _round_up(TILE_PX, coarsest)
     height, width = radius_px.shape
     spread = np.empty_like(light)
 
@@ -99,7 +101,8 @@ def spread_light(light: FloatImage, radius_px: FloatMap) -> FloatImage:
         inside = tile.moved(y=halo_px - tile.top, x=halo_px - tile.left)
         spread[tile.slices] = _render_layers(light[around], radius_px[around], bins)[inside.slices]
 
-    with ThreadPoolExecutor(max_workers=min(os.cpu_count() or 1, MAX_THREADS)) as pool:
+    threads = min(os.cpu_count() or 1, MAX_THREADS, max(1, PX_AT_ONCE // (tile_px + 2 * halo_px) ** 2))
+    with ThreadPoolExecutor(max_workers=threads) as pool:
         list(pool.map(render, _tiles((height, width), tile_px)))
     return spread
 

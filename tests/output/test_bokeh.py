@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from functools import cache
 
 import cv2
@@ -150,6 +151,19 @@ def test_tiles_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     tiled = render_bokeh(photo, disparity_px, focus_disparity_px=2.0, radius_per_px=1.0)
     assert np.abs(tiled - whole).mean() < 1e-5
     assert np.quantile(np.abs(tiled - whole), 0.999) < 2 / 255
+
+
+def test_large_disks_take_bounded_memory(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    monkeypatch.setattr(lens, "TILE_PX", 64)
+    monkeypatch.setattr(lens, "PX_AT_ONCE", 200_000)
+    hw = (320, 400)
+    photo, disparity_px = rng.random((*hw, 3)).astype(np.float32), np.zeros(hw, np.float32)
+    disparity_px[:, 200:] = 1
+    tracemalloc.start()
+    render_bokeh(photo, disparity_px, focus_disparity_px=0.0, radius_per_px=1e3)
+    whole_photo, peak = 60 * photo.size, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 260 * 200_000 + whole_photo
 
 
 def test_unknown_disparity_is_that_of_the_nearest_known(rng: np.random.Generator) -> None:
