@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
-FloatImage = NDArray[np.float32]
+Values = TypeVar("Values", NDArray[np.float32], NDArray[np.float64])
+
+_KNEE_SRGB, _KNEE_LINEAR = 0.04045, 0.0031308
+_SLOPE, _OFFSET, _EXPONENT = 12.92, 0.055, 2.4
 
 
-def linear_from_srgb(image_srgb: FloatImage) -> FloatImage:
+def linear_from_srgb(values_srgb: Values) -> Values:
     """Undo the sRGB curve, continued above 1.
 
     Args:
-        image_srgb: float32 of any shape; 0 to 1, or more where highlights were recovered.
+        values_srgb: float32 or float64 of any shape; 0 to 1, or more where highlights were recovered.
 
     Returns:
-        Same shape, linear light.
+        Same shape and type, linear light.
     """
-    low = image_srgb / np.float32(12.92)
-    high = ((np.maximum(image_srgb, 0.0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
-    return np.where(image_srgb <= 0.04045, low, high).astype(np.float32)
+    high = ((np.maximum(values_srgb, 0.0) + _OFFSET) / (1 + _OFFSET)) ** _EXPONENT
+    return np.where(values_srgb <= _KNEE_SRGB, values_srgb / _SLOPE, high)
 
 
-def srgb_from_linear(image_linear: FloatImage) -> FloatImage:
+def srgb_from_linear(values_linear: Values) -> Values:
     """Inverse of :func:`linear_from_srgb`."""
-    low = image_linear * np.float32(12.92)
-    high = np.float32(1.055) * np.maximum(image_linear, 0.0) ** np.float32(1 / 2.4) - np.float32(0.055)
-    return np.where(image_linear <= 0.0031308, low, high).astype(np.float32)
+    high = (1 + _OFFSET) * np.maximum(values_linear, 0.0) ** (1 / _EXPONENT) - _OFFSET
+    return np.where(values_linear <= _KNEE_LINEAR, values_linear * _SLOPE, high)
+
+
+def srgb_slope(values_linear: Values) -> Values:
+    """Derivative of :func:`srgb_from_linear`, of the same shape and type."""
+    high = (1 + _OFFSET) / _EXPONENT * np.maximum(values_linear, _KNEE_LINEAR) ** (1 / _EXPONENT - 1)
+    return np.where(values_linear <= _KNEE_LINEAR, high.dtype.type(_SLOPE), high)

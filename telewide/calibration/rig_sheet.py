@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from telewide.calibration.quality import Bound, Status, Verdict
+from telewide.capture.facts import MAX_BASELINE_M
 from telewide.options import Options
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -15,8 +16,6 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Row = tuple[Number, Number, Number]
 
-MAX_BASELINE_M = 2.0
-"""Lenses of one device are no further apart; a larger number was meant in millimetres."""
 _ROTATION_TOLERANCE = 1e-6
 _BASELINE_TOLERANCE = 1e-3
 

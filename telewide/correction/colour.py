@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from telewide.correction.colour_model import (
     IDENTITY,
     ColourModel,
-    encoded,
     fit_model,
-    light_of,
     places_of,
     robust_gains,
     transform_colours,
@@ -29,7 +27,7 @@ from telewide.correction.colour_model import (
 )
 from telewide.correction.matches import FloatImage, Matches
 from telewide.correction.registered import Patches, cut_patches, find_patches, shifted_patches
-from telewide.srgb import linear_from_srgb
+from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FloatArray = NDArray[np.float64]
 
@@ -118,7 +116,7 @@ def fit_colour(ref: FloatImage, src: FloatImage, matches: Matches, *, held_out: 
     if min(len(matches), len(samples)) < MIN_SAMPLES:
         return _judged(_Choice(IDENTITY, (), _deltas(samples, IDENTITY)), samples, judged)
     choice = _chosen(samples)
-    change = delta_e(encoded(samples.src_light), _transformed(samples, choice.model))
+    change = delta_e(_transformed(samples, IDENTITY), _transformed(samples, choice.model))
     before = _deltas(samples, IDENTITY)
     if change.mean() < MIN_CHANGE_DELTA_E or choice.deltas.mean() > 0.9 * before.mean():
         choice = _Choice(IDENTITY, (), before)
@@ -195,7 +193,8 @@ def delta_e(first: FloatArray, second: FloatArray) -> FloatArray:
         import colour
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     to_xyz = colour.RGB_COLOURSPACES["sRGB"].matrix_RGB_to_XYZ
-    labs = [colour.XYZ_to_Lab(light_of(np.clip(values, 0.0, 1.0)) @ to_xyz.T, white) for values in (first, second)]
+    light = (linear_from_srgb(np.clip(values, 0.0, 1.0)) for values in (first, second))
+    labs = [colour.XYZ_to_Lab(values @ to_xyz.T, white) for values in light]
     return np.asarray(colour.difference.delta_E_CIE2000(labs[0], labs[1]), dtype=np.float64)
 
 
@@ -274,13 +273,13 @@ def _cross_validated(samples: ColourSamples, parts: tuple[str, ...], fold: NDArr
         is_out = fold == number
         model = _fitted(samples.select(~is_out), parts) if (~is_out).sum() >= MIN_SAMPLES // 2 else IDENTITY
         values[is_out] = _transformed(samples.select(is_out), model)
-    return delta_e(encoded(samples.ref_light), values)
+    return delta_e(srgb_from_linear(samples.ref_light), values)
 
 
 def _fitted(samples: ColourSamples, parts: tuple[str, ...]) -> ColourModel:
     return fit_model(
         samples.src_light,
-        encoded(samples.ref_light),
+        srgb_from_linear(samples.ref_light),
         place=samples.src_place,
         parts=parts,
         start=robust_gains(samples.src_light, samples.ref_light),
@@ -292,7 +291,7 @@ def _transformed(samples: ColourSamples, model: ColourModel) -> FloatArray:
 
 
 def _deltas(samples: ColourSamples, model: ColourModel) -> FloatArray:
-    return delta_e(encoded(samples.ref_light), _transformed(samples, model))
+    return delta_e(srgb_from_linear(samples.ref_light), _transformed(samples, model))
 
 
 def _folds(place: FloatArray) -> NDArray[np.intp]:

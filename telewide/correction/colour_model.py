@@ -1,6 +1,6 @@
 """What one camera's colours are to another's: mixing in linear light, local brightness, and a curve on top.
 
-``light = (mixing @ terms(src)) * exp(shading @ places(x, y))``, ``out = v + tone(v)`` with ``v = encoded(light)``. The
+``light = (mixing @ terms(src)) * exp(shading @ places(x, y))``, ``out = v + tone(v)``, ``v`` encoded light. The
 terms are R G B, or with them the roots of their products (root-polynomial of degree 2, Finlayson, Mackiewicz and
 Hurlbert 2015), which scale with exposure as light does. Lens shading is a polynomial of degree 2 of the place in src.
 Values are sRGB-encoded in [0, 1] outside, linear light inside; data that is linear loses nothing by being encoded.
@@ -16,6 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.srgb import linear_from_srgb, srgb_from_linear, srgb_slope
+
 FloatImage = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 
@@ -23,7 +25,6 @@ N_PLACES = 5
 N_TONE = 3
 MAX_LOG_SHADING = 0.8
 _STRIP_PX = 1 << 18
-_KNEE_LINEAR, _SLOPE = 0.0031308, 12.92
 
 
 @dataclass(frozen=True)
@@ -70,32 +71,32 @@ def transform_colours(light: FloatArray, model: ColourModel, *, place: FloatArra
     Returns:
         (S, 3) sRGB-encoded, not clipped.
     """
-    return _toned(encoded(_shaded(light, model, place)), model.tone)
+    return _toned(srgb_from_linear(_shaded(light, model, place)), model.tone)
 
 
-def transform_image(src: FloatImage, model: ColourModel) -> FloatImage:
+def transform_image(src_srgb: FloatImage, model: ColourModel) -> FloatImage:
     """Apply a model to an image, in strips.
 
     Args:
-        src: (H, W, 3) sRGB in [0, 1].
+        src_srgb: (H, W, 3) in [0, 1].
         model: what to apply.
 
     Returns:
-        (H, W, 3) float32 sRGB in [0, 1]; src itself where the model is the identity.
+        (H, W, 3) float32 sRGB in [0, 1]; the same array where the model is the identity.
     """
     if model.is_identity:
-        return src
-    height, width = src.shape[:2]
-    out = np.empty_like(src, dtype=np.float32)
+        return src_srgb
+    height, width = src_srgb.shape[:2]
+    out = np.empty_like(src_srgb, dtype=np.float32)
     x = _axis_place(np.arange(width), width, height)
     step = max(1, _STRIP_PX // width)
     for top in range(0, height, step):
         rows = slice(top, min(top + step, height))
-        light = _mixed_image(_fast_light(src[rows]), model.mixing)
+        light = _mixed_image(linear_from_srgb(src_srgb[rows]), model.mixing)
         if model.has_shading:
             y = _axis_place(np.arange(rows.start, rows.stop), height, width)
             light *= _shading_image(model.shading, x, y)[:, :, None]
-        values = _fast_encoded(light)
+        values = srgb_from_linear(light)
         if model.has_tone:
             offset, slope, curve = model.tone.T.astype(np.float32)
             values = values + (offset + (slope + curve * values) * values)
@@ -154,18 +155,6 @@ def places_of(points_px: FloatArray, *, hw: tuple[int, int]) -> FloatArray:
     return np.column_stack([x, _axis_place(points_px[:, 1], hw[0], hw[1])])
 
 
-def light_of(values: FloatArray) -> FloatArray:
-    """Linear light of sRGB-encoded values (IEC 61966-2-1), float64."""
-    high = ((np.maximum(values, 0.0) + 0.055) / 1.055) ** 2.4
-    return np.asarray(np.where(values <= 0.04045, values / _SLOPE, high))
-
-
-def encoded(light: FloatArray) -> FloatArray:
-    """Inverse of :func:`light_of`."""
-    high = 1.055 * np.maximum(light, _KNEE_LINEAR) ** (1 / 2.4) - 0.055
-    return np.asarray(np.where(light <= _KNEE_LINEAR, light * _SLOPE, high))
-
-
 def colour_terms(light: FloatArray, *, n: int) -> FloatArray:
     """(S, n) R G B, and for n = 6 the roots of RG, GB, RB."""
     if n == 3:
@@ -219,9 +208,9 @@ def _linearised(light: FloatArray, model: ColourModel, place: FloatArray) -> tup
     terms, spots = colour_terms(light, n=n_terms), place_terms(place)
     gain = np.exp(np.clip(spots @ model.shading, -MAX_LOG_SHADING, MAX_LOG_SHADING))
     out_light = (terms @ model.mixing.T) * gain[:, None]
-    values = encoded(out_light)
+    values = srgb_from_linear(out_light)
     offset, slope, curve = model.tone.T
-    bend = (1.0 + slope + 2.0 * curve * values) * _encoding_slope(out_light)
+    bend = (1.0 + slope + 2.0 * curve * values) * srgb_slope(out_light)
     jacobian = np.zeros((len(light), 3, 3 * n_terms + N_PLACES + 3 * N_TONE))
     first_tone = 3 * n_terms + N_PLACES
     for c in range(3):
@@ -257,12 +246,6 @@ def _toned(values: FloatArray, tone: FloatArray) -> FloatArray:
     return np.asarray(values + offset + (slope + curve * values) * values)
 
 
-def _encoding_slope(light: FloatArray) -> FloatArray:
-    return np.asarray(
-        np.where(light <= _KNEE_LINEAR, _SLOPE, 1.055 / 2.4 * np.maximum(light, _KNEE_LINEAR) ** (1 / 2.4 - 1))
-    )
-
-
 def _axis_place(along_px: NDArray[np.float64] | NDArray[np.int64], own: int, other: int) -> FloatArray:
     return np.asarray((np.asarray(along_px, dtype=np.float64) - (own - 1) / 2) / (max(own, other) / 2))
 
@@ -281,15 +264,3 @@ def _shading_image(shading: FloatArray, x: FloatArray, y: FloatArray) -> FloatIm
     across = shading[0] * x + shading[2] * x * x
     log_gain = across[None, :] + (shading[1] * y + shading[4] * y * y)[:, None] + shading[3] * np.outer(y, x)
     return np.asarray(np.exp(np.clip(log_gain, -MAX_LOG_SHADING, MAX_LOG_SHADING)), dtype=np.float32)
-
-
-def _fast_light(values: FloatImage) -> FloatImage:
-    """Linear light of an image: the power by OpenCV, which is five times faster than numpy's."""
-    power = cv2.pow((np.maximum(values, 0.0) + np.float32(0.055)) / np.float32(1.055), 2.4)
-    return np.asarray(np.where(values <= 0.04045, values / np.float32(_SLOPE), power), dtype=np.float32)
-
-
-def _fast_encoded(light: FloatImage) -> FloatImage:
-    power = cv2.pow(np.maximum(light, np.float32(_KNEE_LINEAR)), 1 / 2.4)
-    high = np.float32(1.055) * power - np.float32(0.055)
-    return np.asarray(np.where(light <= _KNEE_LINEAR, light * np.float32(_SLOPE), high), dtype=np.float32)

@@ -23,8 +23,6 @@ from telewide.correction.colour_model import (
     IDENTITY,
     ColourModel,
     colour_terms,
-    encoded,
-    light_of,
     places_of,
     transform_colours,
     transform_image,
@@ -106,7 +104,7 @@ def test_everything_at_once(world: RenderedPair, wide_src: FloatImage) -> None:
     fit = fit_colour(world.ref, seen, fit_half, held_out=held_out)
     assert fit.delta_after < 0.5 * fit.delta_before
     samples = matched_colours(world.ref, apply_colour(seen, fit), held_out)
-    again = delta_e(encoded(samples.ref_light), encoded(samples.src_light)).mean()
+    again = delta_e(srgb_from_linear(samples.ref_light), srgb_from_linear(samples.src_light)).mean()
     assert again == pytest.approx(fit.delta_after, rel=0.1)
 
 
@@ -159,8 +157,8 @@ def test_few_shades_fit_a_gain(rng: np.random.Generator) -> None:
     step[0, 1] = 0.6
     out = transform_image(step, model)
     np.testing.assert_allclose(out[0, 0], 0.5, atol=0.01)
-    gain = (light_of(np.array(0.5)) / light_of(np.array(0.4))) * light_of(np.array(0.6))
-    np.testing.assert_allclose(out[0, 1], encoded(gain), atol=0.03)
+    gain = (linear_from_srgb(np.array(0.5)) / linear_from_srgb(np.array(0.4))) * linear_from_srgb(np.array(0.6))
+    np.testing.assert_allclose(out[0, 1], srgb_from_linear(gain), atol=0.03)
 
 
 @pytest.mark.parametrize("n", [0, 5, 11])
@@ -184,7 +182,7 @@ def test_no_match_has_no_ratio(world: RenderedPair) -> None:
 def test_samples_come_from_surfaces_that_both_views_see(world: RenderedPair, matches: Matches) -> None:
     samples = registered_colours(world.ref, world.src, matches)
     assert len(samples) > 40
-    assert np.percentile(delta_e(encoded(samples.ref_light), encoded(samples.src_light)), 95) < 3.0
+    assert np.percentile(delta_e(srgb_from_linear(samples.ref_light), srgb_from_linear(samples.src_light)), 95) < 3.0
 
 
 def test_image_and_samples_are_transformed_alike(rng: np.random.Generator) -> None:
@@ -193,7 +191,7 @@ def test_image_and_samples_are_transformed_alike(rng: np.random.Generator) -> No
     model = ColourModel(mixing, np.array([0.1, -0.05, -0.2, 0.03, -0.1]), np.full((3, 3), 0.03))
     y, x = np.mgrid[:40, :60]
     place = places_of(np.column_stack([x.ravel(), y.ravel()]).astype(np.float64), hw=(40, 60))
-    samples = transform_colours(light_of(image.reshape(-1, 3).astype(np.float64)), model, place=place)
+    samples = transform_colours(linear_from_srgb(image.reshape(-1, 3).astype(np.float64)), model, place=place)
     np.testing.assert_allclose(transform_image(image, model).reshape(-1, 3), np.clip(samples, 0, 1), atol=2e-4)
 
 
