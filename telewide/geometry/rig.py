@@ -7,6 +7,7 @@ Letters: N points; K camera matrix, px.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -95,6 +96,11 @@ class StereoRig:
     def asymmetry(self) -> float:
         """``f_tele_px / f_wide_px`` of the photos as captured."""
         return self.tele.f_px / self.wide.f_px
+
+    @property
+    def turn_deg(self) -> float:
+        """Angle by which the two lenses are turned against each other."""
+        return math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(self.wide_from_tele[:3, :3])) - 1) / 2))))
 
     def with_baseline(self, baseline_m: float) -> StereoRig:
         """The same rig with its lenses a known distance apart."""

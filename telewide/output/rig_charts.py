@@ -6,7 +6,6 @@ to draw.
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Callable, Sequence
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import Calibration, Lens, ViewResult
-from telewide.geometry.rig import Camera
+from telewide.geometry.rig import Camera, StereoRig
 from telewide.output.charts import (
     Axis,
     Bar,
@@ -28,6 +27,7 @@ from telewide.output.charts import (
     heat_chart,
     line_chart,
 )
+from telewide.output.depth_table import MATCHING_STD_PX, ROWS_M, depth_error_words, depth_table_html
 from telewide.output.rig_figures import (
     camera_difference_px,
     cell_counts,
@@ -42,8 +42,6 @@ LENSES: tuple[Lens, ...] = ("tele", "wide")
 _LensFigure = Callable[[Calibration, Lens, Sequence[ViewResult]], str]
 _COVERAGE_CELLS = (6, 8)
 _ARROW_SHARE = 0.03  # the 95th percentile of the arrows is drawn so long, as a share of the photo's width
-_DEPTHS_M = (0.5, 1.0, 2.0, 4.0)
-_MATCHING_STD_PX = 0.5
 _MEDIAN_OF_ABS_NORMAL = 0.6745
 
 
@@ -93,19 +91,30 @@ def cross_validation_figures(calibration: Calibration) -> str:
 
 def epipolar_figure(quality: CalibrationQuality) -> str:
     """Row errors in photos that the rig was solved without."""
-    named = (
-        ("median", quality.epipolar_p50_px),
-        ("90 % are below", quality.epipolar_p90_px),
-        ("99 % are below", quality.epipolar_p99_px),
-    )
-    if not any(math.isfinite(value) for _, value in named):
+    if not math.isfinite(quality.epipolar_p90_px):
         return "<p>Too few photos of both lenses at once to hold any out.</p>"
-    limit = next((check.limit for check in quality.checks if "epipolar" in check.name), None)
-    caption = (
-        "How far corners lie from the line that the other photo says they are on, tele px, in photos that the rig was "
-        "solved without. This is the row error that stereo matching will meet." + (" Dashed: limit." if limit else "")
+    return epipolar_bars(
+        quality,
+        caption="How far corners lie from the line that the other photo says they are on, in photos that the rig was "
+        "solved without. This is the row error that stereo matching will meet.",
     )
-    return bar_list([Bar(name, value) for name, value in named], unit="tele px", caption=caption, limit=limit)
+
+
+def epipolar_bars(quality: CalibrationQuality, *, caption: str) -> str:
+    """The held-out row errors of a rig, with the limit for 90 % of them where one is set."""
+    bars = [
+        Bar("median", quality.epipolar_p50_px),
+        Bar("90 % are below", quality.epipolar_p90_px),
+        Bar("99 % are below", quality.epipolar_p99_px),
+    ]
+    limit = epipolar_limit_px(quality)
+    dashed = "" if limit is None else " Dashed: limit for 90 %."
+    return bar_list(bars, unit="tele px", caption=caption + dashed, limit=limit)
+
+
+def epipolar_limit_px(quality: CalibrationQuality) -> float | None:
+    """What 90 % of the held-out row errors are to stay below, tele px; None where no check says."""
+    return next((check.limit for check in quality.checks if "epipolar" in check.name), None)
 
 
 def depth_figure(calibration: Calibration) -> str:
@@ -114,7 +123,7 @@ def depth_figure(calibration: Calibration) -> str:
     if not rig.is_scale_known:
         return "<p>Without the size of the board there is no depth in metres.</p>"
     own_px = _calibration_std_px(quality)
-    stds = [(f"matching to {_MATCHING_STD_PX} px", math.hypot(_MATCHING_STD_PX, own_px))]
+    stds = [(f"matching to {MATCHING_STD_PX} px", math.hypot(MATCHING_STD_PX, own_px))]
     if own_px > 0:
         stds.append((f"this calibration alone ({own_px:.2f} px)", own_px))
     depths_m = np.geomspace(0.25, 10.0, 60)
@@ -130,14 +139,8 @@ def depth_figure(calibration: Calibration) -> str:
         caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity. That of "
         "the calibration is from the held-out epipolar error or the two halves of the photos, whichever is larger.",
     )
-    head = "".join(f"<th>{html.escape(name)}</th>" for name, _ in stds)
-    rows = "".join(
-        f'<tr><th scope="row">{depth_m:g} m</th>'
-        + "".join(f"<td>{_depth_cell(depth_m, calibration, std_px)}</td>" for _, std_px in stds)
-        + "</tr>\n"
-        for depth_m in _DEPTHS_M
-    )
-    table = f"<table><thead><tr><th>distance</th>{head}</tr></thead>\n<tbody>{rows}</tbody></table>"
+    columns = {name: [_depth_cell(depth_m, rig, std_px) for depth_m in ROWS_M] for name, std_px in stds}
+    table = depth_table_html(columns, distances=[f"{depth_m:g} m" for depth_m in ROWS_M])
     baseline_share = calibration.transform_std.baseline_m / rig.baseline_m
     note = f"The distance of the lenses, known to {baseline_share:.2%}, adds the same share at every distance."
     return f'<div class="charts">{chart}<div class="scroll">{table}<p class="faint">{note}</p></div></div>'
@@ -219,10 +222,9 @@ def _calibration_std_px(quality: CalibrationQuality) -> float:
     return max((estimate for estimate in estimates if math.isfinite(estimate)), default=0.0)
 
 
-def _depth_cell(depth_m: float, calibration: Calibration, std_px: float) -> str:
-    error_m = float(depth_error_m(np.array(depth_m), calibration.rig, disparity_std_px=std_px))
-    length = f"{error_m * 1e3:.1f} mm" if error_m < 0.0995 else f"{error_m:.2f} m"
-    return f"&plusmn; {length} ({error_m / depth_m:.1%})"
+def _depth_cell(depth_m: float, rig: StereoRig, std_px: float) -> str:
+    error_m = float(depth_error_m(np.array(depth_m), rig, disparity_std_px=std_px))
+    return depth_error_words(error_m, depth_m=depth_m)
 
 
 def _joint_distance_m(views: Sequence[ViewResult]) -> float:

@@ -187,9 +187,10 @@ def _camera_cells(camera: Camera, std: CameraStd) -> dict[str, str]:
 
 def _transform_words(calibration: Calibration) -> str:
     rig, std = calibration.rig, calibration.transform_std
-    turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (np.trace(rig.wide_from_tele[:3, :3]) - 1) / 2))))
     std_text = " ".join(f"{value:.3f}" for value in std.rotation_deg)
-    words = f"The lenses are turned against each other by {turn_deg:.3f} degrees (&plusmn; {std_text} about x, y, z)"
+    words = (
+        f"The lenses are turned against each other by {rig.turn_deg:.3f} degrees (&plusmn; {std_text} about x, y, z)"
+    )
     if not rig.is_scale_known:
         return f"{words}; their distance is not known in metres."
     x_mm, y_mm, z_mm = rig.wide_from_tele[:3, 3] * 1e3

@@ -124,8 +124,7 @@ def _cameras(stored: StoredRig) -> list[tuple[str, str]]:
 
 def _between(stored: StoredRig) -> list[tuple[str, str]]:
     rig, std = stored.rig, stored.transform_std
-    turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(rig.wide_from_tele[:3, :3])) - 1) / 2))))
-    rows = [("f_tele / f_wide", f"{rig.asymmetry:.4f}"), ("turn between them", f"{turn_deg:.3f} degrees")]
+    rows = [("f_tele / f_wide", f"{rig.asymmetry:.4f}"), ("turn between them", f"{rig.turn_deg:.3f} degrees")]
     if rig.is_scale_known:
         baseline = _plus_minus(rig.baseline_m * 1e3, _thousand(std.baseline_m if std else None), "mm", decimals=2)
         unverified = "as stated" if stored.facts.source == "scenes" else "nominal"

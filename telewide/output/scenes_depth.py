@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 
 import numpy as np
@@ -13,13 +12,12 @@ from numpy.typing import NDArray
 
 from telewide.correction.scene_rig import SceneRig
 from telewide.output.charts import Axis, Line, line_chart
+from telewide.output.depth_table import MATCHING_STD_PX, ROWS_M, depth_error_words, depth_table_html
 from telewide.output.rig_figures import depth_error_m
 
 FloatArray = NDArray[np.float64]
 
-_MATCHING_STD_PX = 0.5
 _NEAREST_M, _FARTHEST_M = 0.25, 10.0
-_ROWS_M = (0.5, 1.0, 2.0, 4.0)
 _HIGHEST_PERCENT = 130.0
 """Leaves room for the legend above the curves, which end at 100."""
 _BASELINES_PER_M = 100.0
@@ -40,8 +38,8 @@ def scenes_depth_html(found: SceneRig) -> str:
     unit, unit_m = ("m", 1.0) if is_metric else ("baselines", 1 / _BASELINES_PER_M)
     pinned = "zero pinned with --distance" if is_metric else "were the zero known"
     stds = (
-        (f"zero known to {found.std.zero_px:.0f} px, as it is", math.hypot(_MATCHING_STD_PX, found.std.zero_px)),
-        (f"{pinned}, matching to {_MATCHING_STD_PX} px", _MATCHING_STD_PX),
+        (f"zero known to {found.std.zero_px:.0f} px, as it is", math.hypot(MATCHING_STD_PX, found.std.zero_px)),
+        (f"{pinned}, matching to {MATCHING_STD_PX} px", MATCHING_STD_PX),
     )
     distances = np.geomspace(_NEAREST_M, _FARTHEST_M, 60) / unit_m
     lines = [
@@ -55,14 +53,8 @@ def scenes_depth_html(found: SceneRig) -> str:
         caption="sigma_z = z² sigma_d / (f B): one standard deviation of depth over distance. At 100 % and above "
         "nothing is known of the distance, only what is nearer than what.",
     )
-    head = "".join(f"<th>{html.escape(name)}</th>" for name, _ in stds)
-    rows = "".join(
-        f'<tr><th scope="row">{row_m / unit_m:g} {unit}</th>'
-        + "".join(f"<td>{_cell(row_m / unit_m, found, std_px)}</td>" for _, std_px in stds)
-        + "</tr>\n"
-        for row_m in _ROWS_M
-    )
-    table = f"<table><thead><tr><th>distance</th>{head}</tr></thead>\n<tbody>{rows}</tbody></table>"
+    columns = {name: [_cell(row_m / unit_m, found, std_px) for row_m in ROWS_M] for name, std_px in stds}
+    table = depth_table_html(columns, distances=[f"{row_m / unit_m:g} {unit}" for row_m in ROWS_M])
     notes = "".join(f'<p class="faint">{note}</p>' for note in _notes(found))
     return f'<div class="charts">{chart}<div><div class="scroll">{table}</div>{notes}</div></div>'
 
@@ -100,6 +92,4 @@ def _cell(distance_m: float, found: SceneRig, std_px: float) -> str:
         return "not known"
     if not found.rig.is_scale_known:
         return f"&plusmn; {share:.1%}"
-    error_m = share * distance_m
-    length = f"{error_m * 1e3:.1f} mm" if error_m < 0.0995 else f"{error_m:.2f} m"
-    return f"&plusmn; {length} ({share:.1%})"
+    return depth_error_words(share * distance_m, depth_m=distance_m)

@@ -29,6 +29,7 @@ from telewide.output.report import (
     section_html,
     thumbnail,
 )
+from telewide.output.rig_charts import epipolar_bars, epipolar_limit_px
 from telewide.output.rig_checks import CHECKS_STYLE, advice_html, checks_html
 from telewide.output.rig_figures import cell_counts, tele_outline_px
 from telewide.output.rig_report import scan_lines_picture
@@ -157,9 +158,8 @@ def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
     k1_std = ", ".join(f"{value:.3f}" for value in std.distortion)
     source = "matches, and that phones correct their photos"
     yield "distortion k1 of tele, wide", f"{k1[0]:+.3f}, {k1[1]:+.3f}", k1_std, source
-    turn_deg = math.degrees(math.acos(min(1.0, max(-1.0, (np.trace(rig.wide_from_tele[:3, :3]) - 1) / 2))))
     largest_deg = math.degrees(float(std.rotation_rad.max()))
-    yield "turn between the lenses", f"{turn_deg:.2f} degrees", f"{largest_deg:.2f} degrees", "matches"
+    yield "turn between the lenses", f"{rig.turn_deg:.2f} degrees", f"{largest_deg:.2f} degrees", "matches"
     direction_deg = math.degrees(float(std.direction_rad[0]))
     side, source = found.wide_side, _SIDE_WORDS[found.side_source]
     yield "side of wide, from behind", side, f"{direction_deg:.1f} degrees", source
@@ -195,24 +195,17 @@ def _coverage_figures(found: SceneRig, views: Sequence[SceneView]) -> Iterator[s
 def _error_figures(quality: CalibrationQuality, views: Sequence[SceneView]) -> str:
     if not math.isfinite(quality.epipolar_p90_px):
         return "<p>Nothing was held out: too few captures for two rigs that judge each other's captures.</p>"
-    named = (
-        ("median", quality.epipolar_p50_px),
-        ("90 % are below", quality.epipolar_p90_px),
-        ("99 % are below", quality.epipolar_p99_px),
-    )
-    limit = next((check.limit for check in quality.checks if "epipolar" in check.name), None)
     caption = (
         "How far matches lie from the row that the other photo says they are on, in captures that the rig was solved "
-        "without, each corrected for its own lens movement. This is the row error that stereo matching will meet. "
-        "Dashed: limit for 90 %."
+        "without, each corrected for its own lens movement. This is the row error that stereo matching will meet."
     )
-    whole = bar_list([Bar(*each) for each in named], unit="tele px", caption=caption, limit=limit)
+    whole = epipolar_bars(quality, caption=caption)
     each = [Bar(v.name, float(np.percentile(v.errors_px, 90)) if len(v.errors_px) else math.nan) for v in views]
     caption = (
         "The same for every capture: 90 % of its held-out matches are below. A dash: too few matches. Good: all "
         "captures alike; a long one had something moving, or photos taken one after the other."
     )
-    return whole + bar_list(each, unit="tele px", caption=caption, limit=limit)
+    return whole + bar_list(each, unit="tele px", caption=caption, limit=epipolar_limit_px(quality))
 
 
 def _rectified_html(rectified: tuple[str, FloatMap, FloatMap] | None) -> str:

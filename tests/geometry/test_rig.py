@@ -13,6 +13,15 @@ from telewide.geometry.camera import scaled_points
 from telewide.geometry.rig import rigid_transform
 
 
+@pytest.mark.parametrize("turn_deg", [0.0, 0.4, 12.0, 180.0])
+def test_the_turn_is_the_angle_it_was_made_with(turn_deg: float, rng: np.random.Generator) -> None:
+    axis = rng.normal(size=3)
+    turned = rigid_transform(
+        rotation=np.radians(turn_deg) * axis / np.linalg.norm(axis), translation=np.array([0.01, 0, 0])
+    )
+    assert replace(phone(), wide_from_tele=turned).turn_deg == pytest.approx(turn_deg, abs=1e-5)
+
+
 @pytest.mark.parametrize("distortion", [(), (0.1, -0.05, 0.001, 0.0), TELE_DISTORTION, WIDE_DISTORTION])
 def test_project_is_opencvs(distortion: tuple[float, ...], rng: np.random.Generator) -> None:
     lens = camera((600, 800), f_px=700, off_centre_px=(4, -9), distortion=distortion)
