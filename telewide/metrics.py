@@ -54,48 +54,6 @@ def three_pixel_error(estimate_px: FloatMap, truth_px: FloatMap, *, mask: BoolMa
     return float(1.0 - np.mean(is_fine))
 
 
-def bad_share(error_px: FloatMap, *, threshold_px: float) -> float:
-    """Share of errors above a threshold.
-
-    Args:
-        error_px: errors of any shape and sign, px; NaN counts as bad.
-        threshold_px: the largest error that is still good, px.
-
-    Returns:
-        Share in [0, 1].
-
-    Raises:
-        ValueError: there is no error to count.
-    """
-    if np.size(error_px) == 0:
-        raise ValueError("no error to count: the array is empty")
-    return float(1.0 - np.mean(np.abs(error_px) <= threshold_px))
-
-
-def psnr_db(image: FloatMap, reference: FloatMap, *, mask: BoolMap | None = None) -> float:
-    """Peak signal-to-noise ratio of an image in [0, 1]: ``-10 log10(mean squared difference)``.
-
-    Args:
-        image: (H, W) or (H, W, C), values in [0, 1].
-        reference: same shape and value space as ``image``.
-        mask: (H, W) bool, the pixels that count; None for all.
-
-    Returns:
-        dB; infinite where the two are equal.
-
-    Raises:
-        ValueError: the shapes differ or the mask is empty.
-    """
-    if image.shape != reference.shape:
-        raise ValueError(f"image {image.shape} and reference {reference.shape} must have one shape")
-    difference = image.astype(np.float64) - reference
-    counted = difference if mask is None else difference[_checked_mask(mask, image.shape[:2])]
-    if counted.size == 0:
-        raise ValueError("no pixel to compare: the mask is empty")
-    mean_square = float(np.mean(counted**2))
-    return float("inf") if mean_square == 0 else -10.0 * float(np.log10(mean_square))
-
-
 def _counted_errors_px(
     estimate_px: FloatMap, truth_px: FloatMap, mask: BoolMap | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

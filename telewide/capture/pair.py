@@ -142,12 +142,10 @@ class PairReader:
     """Reads pairs and keeps the last ones, within a budget of memory.
 
     Args:
-        facts: passed on to `read_pair`.
         max_bytes: of all kept pictures together; a single larger pair is read each time.
     """
 
-    def __init__(self, *, facts: CaptureFacts | None = None, max_bytes: int = 1 << 30) -> None:
-        self._facts = facts
+    def __init__(self, *, max_bytes: int = 1 << 30) -> None:
         self._max_bytes = max_bytes
         self._kept: OrderedDict[Capture, RectifiedPair] = OrderedDict()
 
@@ -170,7 +168,7 @@ class PairReader:
         """
         pair = self._kept.pop(capture, None)
         if pair is None:
-            pair = read_pair(capture, facts=self._facts)
+            pair = read_pair(capture)
         self._kept[capture] = pair
         while self._kept and self.kept_bytes > self._max_bytes:
             self._kept.popitem(last=False)

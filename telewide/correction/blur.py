@@ -60,11 +60,6 @@ class BlurEstimate:
     n: int
 
     @property
-    def is_elongated(self) -> bool:
-        """Whether the kernel has two widths."""
-        return self.sigma_px[0] != self.sigma_px[1]
-
-    @property
     def mean_sigma_px(self) -> float:
         """Width of the round kernel of equal area."""
         return float(np.sqrt(self.sigma_px[0] * self.sigma_px[1]))

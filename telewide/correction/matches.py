@@ -28,6 +28,7 @@ Flags = NDArray[np.bool_]
 
 VERTICAL_TOLERANCE_PX = (0.5, 1.5)
 """How far a match may lie from the linear vertical law: four sigma of the matches, at least and at most this."""
+_MAX_FEATURES = 4000
 _RATIO = 0.85
 _MAX_ANGLE_DEG = 20.0
 _MAX_SCALE_RATIO = 1.5
@@ -82,24 +83,16 @@ class DetectedView:
     descriptor: NDArray[np.float32]
 
 
-def find_matches(
-    ref: FloatImage,
-    src: FloatImage,
-    *,
-    max_vertical_px: float | None = None,
-    max_disparity_px: float | None = None,
-    max_features: int = 4000,
-) -> Matches:
+def find_matches(ref: FloatImage, src: FloatImage) -> Matches:
     """Match two views of one scene whose rows nearly agree.
 
     SIFT (Lowe 2004) with square-rooted descriptors (Arandjelovic and Zisserman 2012) on views brought to one bandwidth.
+    Looked for are disparities up to a quarter of the width, of either sign, and vertical misfits up to 4 % of the
+    height, at least 8 px.
 
     Args:
         ref: (H, W, 3) RGB or (H, W) in [0, 1].
         src: the same shape, in [0, 1].
-        max_vertical_px: largest vertical misfit looked for; None is 4 % of the height and at least 8 px.
-        max_disparity_px: largest disparity of either sign looked for; None is a quarter of the width.
-        max_features: most points taken from one view.
 
     Returns:
         The consistent matches; none where the views share no scene.
@@ -110,15 +103,11 @@ def find_matches(
     if ref.shape[:2] != src.shape[:2]:
         raise InputError(f"find_matches needs two views of one size, got {ref.shape[:2]} and {src.shape[:2]}")
     height, width = ref.shape[:2]
-    reach_px = (
-        width / 4 if max_disparity_px is None else max_disparity_px,
-        max(8.0, 0.04 * height) if max_vertical_px is None else max_vertical_px,
-    )
     ref_grey, src_grey = to_one_bandwidth(grey(ref), grey(src))
     found = match_descriptors(
-        detect_points(ref_grey, max_features=max_features),
-        detect_points(src_grey, max_features=max_features),
-        reach_px=reach_px,
+        detect_points(ref_grey, max_features=_MAX_FEATURES),
+        detect_points(src_grey, max_features=_MAX_FEATURES),
+        reach_px=(width / 4, max(8.0, 0.04 * height)),
     )
     return consistent_matches(align_matches(ref_grey, src_grey, found))
 

@@ -51,7 +51,6 @@ class PoseFit:
         rotation_std_rad: (3,) standard deviations of the turn.
         direction_std_rad: largest standard deviation of the direction.
         scale_std: standard deviation of the scale.
-        zero_std_px: standard deviation of the disparity's zero, from the turn about the axis across, tele px.
         is_usable: False where wide stood nearly in front of tele or behind it.
         notes: what a person should know.
     """
@@ -62,7 +61,6 @@ class PoseFit:
     rotation_std_rad: FloatArray
     direction_std_rad: float
     scale_std: float
-    zero_std_px: float
     is_usable: bool
     notes: tuple[str, ...]
 
@@ -127,7 +125,6 @@ def _described(fit: RobustFit, *, rig: StereoRig, matches: Matches) -> PoseFit:
         rotation_std_rad=np.sqrt(np.diag(covariance)[:3]),
         direction_std_rad=direction_std_rad,
         scale_std=float(np.sqrt(covariance[3, 3])),
-        zero_std_px=yaw_std_px,
         is_usable=_is_across(centre),
         notes=tuple(notes),
     )

@@ -58,12 +58,11 @@ class _Problem:
 
     residuals: Residuals
     jacobian: Jacobian
-    mean: FloatArray
     std: FloatArray
     noise_px: float
 
     def prior_px(self, x: FloatArray) -> FloatArray:
-        return np.asarray(self.noise_px * (x - self.mean) / self.std)
+        return np.asarray(self.noise_px * x / self.std)
 
 
 def fit_robustly(
@@ -71,7 +70,6 @@ def fit_robustly(
     start: FloatArray,
     *,
     prior_std: FloatArray,
-    prior_mean: FloatArray | None = None,
     jacobian: Jacobian | None = None,
     unit_px: float = 1.0,
 ) -> RobustFit:
@@ -83,8 +81,7 @@ def fit_robustly(
     Args:
         residuals: (K,) parameters to (N,) residuals, px.
         start: (K,) where to begin.
-        prior_std: (K,) standard deviations of the parameters before any match was seen.
-        prior_mean: (K,) their means; None is 0.
+        prior_std: (K,) standard deviations of the parameters about 0 before any match was seen.
         jacobian: (K,) parameters to the (N, K) derivative; None takes finite differences.
         unit_px: what one pixel of the loss is, px.
 
@@ -94,7 +91,6 @@ def fit_robustly(
     problem = _Problem(
         residuals=residuals,
         jacobian=jacobian or (lambda x: numeric_jacobian(residuals, x, step=_STEP * prior_std)),
-        mean=np.zeros_like(prior_std) if prior_mean is None else prior_mean,
         std=prior_std,
         noise_px=_NOISE_PX * unit_px,
     )

@@ -91,16 +91,6 @@ class ShotRefinement:
     is_at_once: bool = True
     notes: tuple[str, ...] = ()
 
-    @property
-    def roll_rad(self) -> float:
-        """The turn about wide's optical axis."""
-        return float(self.rotation_vector[2])
-
-    @property
-    def roll_std_rad(self) -> float:
-        """Standard deviation of the roll."""
-        return float(self.rotation_std_rad[2])
-
 
 def refined_rig(rig: StereoRig, refinement: ShotRefinement) -> StereoRig:
     """Apply this shot's correction to a rig.

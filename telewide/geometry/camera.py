@@ -55,24 +55,6 @@ def scaled_intrinsics(K: FloatArray, *, scale_xy: tuple[float, float]) -> FloatA
     return resized_from_image @ _checked_intrinsics(K)
 
 
-def cropped_intrinsics(K: FloatArray, *, origin_xy: tuple[float, float]) -> FloatArray:
-    """Camera matrix of a crop.
-
-    Args:
-        K: (3, 3) camera matrix, px of the whole image.
-        origin_xy: the crop's top-left pixel, px of the whole image.
-
-    Returns:
-        (3, 3) float64, px of the crop.
-
-    Raises:
-        ValueError: ``K`` is not 3x3.
-    """
-    cropped = _checked_intrinsics(K).copy()
-    cropped[:2, 2] -= origin_xy
-    return cropped
-
-
 def _checked_scale(scale_xy: tuple[float, float]) -> FloatArray:
     scale = np.asarray(scale_xy, dtype=np.float64)
     if scale.shape != (2,) or not np.all(np.isfinite(scale) & (scale > 0)):

@@ -66,11 +66,6 @@ class RectifiedGeometry:
         return self.f_px / self.rig.tele.f_px
 
     @property
-    def is_mirrored(self) -> bool:
-        """Whether the rectified views are mirror images."""
-        return bool(np.linalg.det(self.rect_from_tele) < 0)
-
-    @property
     def src_centre_px(self) -> FloatArray:
         """(2,) principal point of the rectified src."""
         return np.asarray(self.ref_centre_px + np.array([self.doffs_px, 0.0]))

@@ -65,10 +65,3 @@ def depth_from_disparity(disparity_px: FloatMap, *, f_px: float, baseline_m: flo
     with np.errstate(divide="ignore", invalid="ignore"):
         depth_m = np.where(shifted_px > 0, f_px * baseline_m / shifted_px, np.nan)
     return depth_m.astype(np.float32)
-
-
-def disparity_from_depth(depth_m: FloatMap, *, f_px: float, baseline_m: float, doffs_px: float = 0.0) -> FloatMap:
-    """Inverse of :func:`depth_from_disparity`; NaN where the depth is not positive."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        disparity_px = np.where(depth_m > 0, f_px * baseline_m / depth_m.astype(np.float64) - doffs_px, np.nan)
-    return disparity_px.astype(np.float32)

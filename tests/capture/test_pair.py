@@ -143,7 +143,7 @@ def test_no_truth(tmp_path: Path) -> None:
 
 def test_real_pairs(data_root: Path) -> None:
     captures = find_captures(data_root / "p30")
-    pair = PairReader(facts=captures.facts).read(captures.captures[0])
+    pair = read_pair(captures.captures[0], facts=captures.facts)
     assert pair.tele.shape == pair.wide.shape == (640, 1280, 3)
     assert 0.05 < pair.tele.mean() < 0.95
 

@@ -79,7 +79,6 @@ def test_a_round_blur_is_recovered(room: RenderedPair, matches: Matches, sigma_p
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6, 2.5])
 def test_an_elongated_blur_is_recovered(room: RenderedPair, matches: Matches, angle_rad: float) -> None:
     found = measured(room, Degradation(blur_sigma_px=(2.0, 1.0), blur_angle_rad=angle_rad), matches)
-    assert found.is_elongated
     assert found.sigma_px == pytest.approx((2.0, 1.0), rel=0.1)
     assert abs((found.angle_rad - angle_rad + np.pi / 2) % np.pi - np.pi / 2) < 0.08
 

@@ -78,7 +78,7 @@ def test_what_a_shot_moved_is_recovered_within_its_deviations() -> None:
         assert np.median(left_px(exact, refined_rig(rig, found))) < 0.1
         deviations += [
             (found.vertical_offset_px - offset_px) / found.vertical_offset_std_px,
-            (found.roll_rad - roll_rad) / found.roll_std_rad,
+            (found.rotation_vector[2] - roll_rad) / found.rotation_std_rad[2],
             (found.scale - scale) / found.scale_std,
         ]
     # 24 numbers of unit variance, were the deviations right: their root mean square is within 0.6 and 1.5

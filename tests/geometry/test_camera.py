@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telewide.geometry.camera import cropped_intrinsics, scaled_intrinsics, scaled_points
+from telewide.geometry.camera import scaled_intrinsics, scaled_points
 
 K = np.array([[800.0, 1.5, 319.5], [0.0, 810.0, 200.0], [0.0, 0.0, 1.0]])
 
@@ -37,12 +37,6 @@ def test_corners_of_the_image_stay_corners() -> None:
     np.testing.assert_allclose(scaled_points(corners_px, scale_xy=(0.25, 0.5)), [[-0.5, -0.5], [159.5, 239.5]])
 
 
-def test_crop_moves_projections_by_the_origin(rng: np.random.Generator) -> None:
-    points_m = rng.uniform([-1, -1, 2], [1, 1, 9], (20, 3))
-    cropped = project(cropped_intrinsics(K, origin_xy=(12.0, -3.0)), points_m)
-    np.testing.assert_allclose(cropped, project(K, points_m) - [12.0, -3.0], atol=1e-9)
-
-
 @pytest.mark.parametrize("scale", [0.25, 0.5, 2.0, 3.0])
 def test_opencv_resize_moves_a_blob_there(scale: float) -> None:
     y, x = np.mgrid[:96, :128].astype(np.float64)
@@ -63,5 +57,3 @@ def test_bad_input() -> None:
         scaled_points(np.zeros((4, 2)), scale_xy=(0, 1))
     with pytest.raises(ValueError, match="3x3"):
         scaled_intrinsics(np.eye(4), scale_xy=(1, 1))
-    with pytest.raises(ValueError, match="3x3"):
-        cropped_intrinsics(np.eye(2), origin_xy=(1, 1))
