@@ -19,7 +19,7 @@ import tifffile
 from PIL import Image, TiffImagePlugin
 
 from telewide.capture.formats import TAG_DNG_VERSION, PhotoFormat, format_by_head, open_tiff, read_bytes
-from telewide.capture.heif import open_photo
+from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import stored_hw
 from telewide.errors import InputError
 

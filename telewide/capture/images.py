@@ -24,7 +24,7 @@ from PIL import Image, ImageCms
 
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
-from telewide.capture.heif import open_photo
+from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.rundir import replacing
 from telewide.errors import InputError, TelewideError, UsageError

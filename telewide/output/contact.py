@@ -67,7 +67,7 @@ class ContactRow:
     rotated_deg: int = 0
 
 
-def warp_to_ref(src: FloatMap, disparity_px: FloatMap) -> FloatMap:
+def fetch_to_ref(src: FloatMap, disparity_px: FloatMap) -> FloatMap:
     """Fetch src into ref's frame: ``warped(x, y) = src(x - d(x, y), y)``, linear along the row.
 
     Args:
@@ -104,7 +104,7 @@ def warped_difference(tele: FloatMap, wide: FloatMap, disparity_px: FloatMap) ->
     Returns:
         (H, W) mean absolute difference over the channels, in [0, 1]; NaN where wide does not reach.
     """
-    warped = warp_to_ref(_shared_band(wide), disparity_px)
+    warped = fetch_to_ref(_shared_band(wide), disparity_px)
     tele_blurred = _shared_band(tele)
     is_seen = np.isfinite(warped[..., 0])
     if not is_seen.any():

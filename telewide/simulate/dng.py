@@ -42,7 +42,7 @@ _XYZ_FROM_SRGB = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [
 
 
 @dataclass(frozen=True)
-class ShotFacts:
+class ExifFacts:
     """What a phone notes beside a photo.
 
     Attributes:
@@ -62,7 +62,7 @@ class ShotFacts:
     subject_distance_m: float | None = None
 
 
-def write_dng(path: Path, frame: RawFrame, *, facts: ShotFacts) -> None:
+def write_dng(path: Path, frame: RawFrame, *, facts: ExifFacts) -> None:
     """Write what a sensor counted as a DNG, whole or not at all.
 
     Args:
@@ -86,7 +86,7 @@ def write_dng(path: Path, frame: RawFrame, *, facts: ShotFacts) -> None:
         temporary.write_bytes(content)
 
 
-def write_jpeg(path: Path, srgb: FloatImage, *, facts: ShotFacts, quality: int = 92) -> None:
+def write_jpeg(path: Path, srgb: FloatImage, *, facts: ExifFacts, quality: int = 92) -> None:
     """Write a developed photo as a JPEG with EXIF, whole or not at all.
 
     Args:
@@ -146,7 +146,7 @@ def gain_map(
     return _GAIN_MAP, head + gains.astype(">f4").tobytes()
 
 
-def _dng_entries(frame: RawFrame, facts: ShotFacts, *, offset: int) -> list[tuple[int, int, int, bytes]]:
+def _dng_entries(frame: RawFrame, facts: ExifFacts, *, offset: int) -> list[tuple[int, int, int, bytes]]:
     """Every tag of the first directory but the pointer to EXIF; `offset` is that of the mosaic."""
     (height, width), sensor = frame.bayer.shape, frame.sensor
     colours = bytes("RGB".index(colour) for colour in sensor.pattern)
@@ -190,7 +190,7 @@ def _shading(sensor: Sensor, *, hw: tuple[int, int]) -> bytes:
     return opcode_list(gain_map((1 / passed)[..., None].astype(np.float32), area=(0, 0, *hw)))
 
 
-def _exif_tags(facts: ShotFacts) -> dict[int, tuple[int, str | bytes | Values]]:
+def _exif_tags(facts: ExifFacts) -> dict[int, tuple[int, str | bytes | Values]]:
     """Type and values of the tags of the EXIF directory, sorted."""
     tags: dict[int, tuple[int, str | bytes | Values]] = {
         _EXIF_VERSION: (_UNDEFINED, b"0232"),

@@ -112,7 +112,7 @@ def write_phone(
             write_image(place / f"{name}.jpg", _developed(photo, rng, is_wide=name == "wide", cast=cast), quality=95)
     for number, child in enumerate(capture_seed.spawn(captures)):
         rng = np.random.default_rng(child)
-        moved = moved_rig(rng, rig)  # drawn in any case: what is drawn after it stays the same
+        moved = randomly_moved(rng, rig)  # drawn in any case: what is drawn after it stays the same
         place = folder / "captures" / f"{number:03d}"
         hidden = _write_still_life(
             place, rng, moved if moves else rig, depths_m=depths_m[number % len(depths_m)], cast=cast
@@ -204,7 +204,7 @@ def _write_still_life(
     return _seen_by_tele(views.occluded.astype(np.float32), geometry)
 
 
-def moved_rig(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
+def randomly_moved(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
     """What a shot does to a rig: stabilisation shifts wide in its picture plane, focus changes its focal length."""
     K = rig.wide.K.copy()
     K[:2, :2] *= 1 + rng.normal(0, 0.002)

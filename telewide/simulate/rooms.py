@@ -21,14 +21,14 @@ from telewide.capture.images import write_image, write_pfm
 from telewide.capture.rundir import write_text
 from telewide.errors import UsageError
 from telewide.geometry.rig import Camera, StereoRig
-from telewide.simulate.dng import ShotFacts, write_dng, write_jpeg
+from telewide.simulate.dng import ExifFacts, write_dng, write_jpeg
 from telewide.simulate.phone import (
     BOARD_CORNERS,
     BOARD_SQUARE_M,
     board_pose,
     lenses_of,
-    moved_rig,
     phone_rig,
+    randomly_moved,
     rig_truth,
 )
 from telewide.simulate.room_furniture import bare_room, random_room
@@ -139,7 +139,7 @@ def write_rooms(
     for number, child in enumerate(capture_seed.spawn(captures)):
         rng = np.random.default_rng(child)
         name = f"{number:03d}"
-        moved[name] = moved_rig(rng, phone.rig)
+        moved[name] = randomly_moved(rng, phone.rig)
         shot = _Shot(folder / "captures" / name, moved[name], boards + number, rng)
         _photograph_room(phone, shot, truth=folder / "truth")
         tick()
@@ -252,7 +252,7 @@ def _write_photos(phone: _Phone, shot: _Shot, lights: dict[str, FloatImage], *, 
     for name, light in lights.items():
         focal_mm, f35_mm = _FOCAL_MM[name]
         taken = _FIRST_SHOT + timedelta(minutes=shot.number)
-        facts = ShotFacts("Telewide", "Simulated Phone", focal_mm, f35_mm, taken, stated_m)
+        facts = ExifFacts("Telewide", "Simulated Phone", focal_mm, f35_mm, taken, stated_m)
         frame = expose(light * np.float32(gain), phone.sensors[name], rng=shot.rng)
         if phone.how.is_raw:
             write_dng(shot.folder / f"{name}.dng", frame, facts=facts)

@@ -72,7 +72,9 @@ def test_a_damaged_heic(tmp_path: Path) -> None:
 
 def test_without_the_extra_its_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = importlib.util.find_spec
-    monkeypatch.setattr("telewide.capture.heif.find_spec", lambda name: None if name == "pillow_heif" else found(name))
+    monkeypatch.setattr(
+        "telewide.capture.pillow_photos.find_spec", lambda name: None if name == "pillow_heif" else found(name)
+    )
     (tmp_path / "a.jpg").write_bytes(HEIC)
     for read in (read_image, read_photo_facts):
         with pytest.raises(MissingPartError, match=r"a\.jpg is a HEIC photo") as caught:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from telewide.geometry.stereo import DisparityMap, FloatMap
-from telewide.output.contact import ContactRow, contact_sheet, strip, warp_to_ref, warped_difference
+from telewide.output.contact import ContactRow, contact_sheet, fetch_to_ref, strip, warped_difference
 
 HW = (90, 140)
 
@@ -36,7 +36,7 @@ def row_of(texture: FloatMap, *, name: str = "a") -> ContactRow:
 @pytest.mark.parametrize("disparity_px", [-7, 0, 12])
 def test_warp_brings_src_onto_ref(texture: FloatMap, disparity_px: int) -> None:
     ref, src = shifted_views(texture, disparity_px=disparity_px)
-    warped = warp_to_ref(src, np.full(HW, disparity_px, np.float32))
+    warped = fetch_to_ref(src, np.full(HW, disparity_px, np.float32))
     x = np.arange(HW[1]) - disparity_px
     is_inside = (x >= 0) & (x <= HW[1] - 1)
     np.testing.assert_array_equal(warped[:, is_inside], ref[:, is_inside])
@@ -48,7 +48,7 @@ def test_warp_agrees_with_opencv(texture: FloatMap, rng: np.random.Generator) ->
     disparity_px = cv2.GaussianBlur(rng.uniform(-30, 30, HW).astype(np.float32), (0, 0), 3)
     grid_x, grid_y = np.meshgrid(np.arange(HW[1], dtype=np.float32), np.arange(HW[0], dtype=np.float32))
     expected = cv2.remap(src, grid_x - disparity_px, grid_y, cv2.INTER_LINEAR)
-    warped = warp_to_ref(src, disparity_px)
+    warped = fetch_to_ref(src, disparity_px)
     is_inside = np.isfinite(warped)
     assert is_inside.mean() > 0.8
     np.testing.assert_allclose(warped[is_inside], expected[is_inside], atol=0.01)  # OpenCV rounds to 1/32 px
@@ -57,7 +57,7 @@ def test_warp_agrees_with_opencv(texture: FloatMap, rng: np.random.Generator) ->
 def test_warp_leaves_out_what_is_unknown(texture: FloatMap) -> None:
     disparity_px = np.zeros(HW, np.float32)
     disparity_px[4:8, 5:9] = np.nan
-    assert np.isnan(warp_to_ref(texture[:, : HW[1]], disparity_px)[4:8, 5:9]).all()
+    assert np.isnan(fetch_to_ref(texture[:, : HW[1]], disparity_px)[4:8, 5:9]).all()
 
 
 def test_difference_is_blind_to_exposure_and_colour(texture: FloatMap) -> None:

@@ -17,11 +17,11 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.raw import read_raw
 from telewide.errors import UsageError
-from telewide.simulate.dng import ShotFacts, write_dng, write_jpeg
+from telewide.simulate.dng import ExifFacts, write_dng, write_jpeg
 from telewide.simulate.sensor import PATTERNS, RawFrame, Sensor, developed, expose, phone_sensor
 from telewide.srgb import srgb_from_linear
 
-FACTS = ShotFacts("Maker", "Phone 1", 6.86, 24, datetime(2026, 5, 1, 12, 0, 1, 250_000), 1.75)
+FACTS = ExifFacts("Maker", "Phone 1", 6.86, 24, datetime(2026, 5, 1, 12, 0, 1, 250_000), 1.75)
 INSIDE = (slice(6, -6), slice(6, -6))  # demosaicing guesses at the border
 
 
@@ -117,7 +117,7 @@ def test_libraw_and_the_phone_develop_alike(tmp_path: Path, rng: np.random.Gener
     ],
 )
 @pytest.mark.parametrize("suffix", ["dng", "jpg"])
-def test_exif_says_what_it_was_told(tmp_path: Path, rng: np.random.Generator, facts: ShotFacts, suffix: str) -> None:
+def test_exif_says_what_it_was_told(tmp_path: Path, rng: np.random.Generator, facts: ExifFacts, suffix: str) -> None:
     path, frame = tmp_path / f"a.{suffix}", phone_frame(rng)
     if suffix == "dng":
         write_dng(path, frame, facts=facts)
