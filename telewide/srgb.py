@@ -1,9 +1,13 @@
-"""The sRGB curve and its inverse (IEC 61966-2-1). Light adds up in linear values only."""
+"""The sRGB curve and its inverse (IEC 61966-2-1), and luma. Light adds up in linear values only.
+
+Letters: H W image.
+"""
 
 from __future__ import annotations
 
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,3 +40,10 @@ def srgb_slope(values_linear: Values) -> Values:
     """Derivative of :func:`srgb_from_linear`, of the same shape and type."""
     high = (1 + _OFFSET) / _EXPONENT * np.maximum(values_linear, _KNEE_LINEAR) ** (1 / _EXPONENT - 1)
     return np.where(values_linear <= _KNEE_LINEAR, high.dtype.type(_SLOPE), high)
+
+
+def grey(image_srgb: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Luma (Rec. 601 weights) of an (H, W, 3) image, (H, W) float32; a grey one is returned as it is."""
+    if image_srgb.ndim == 2:
+        return image_srgb
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image_srgb), cv2.COLOR_RGB2GRAY), dtype=np.float32)

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from telewide.correction.asymmetry import SIGMA_PER_FACTOR_PX, grey
+from telewide.correction.bandwidth import SIGMA_PER_FACTOR_PX
 from telewide.correction.matches import FloatImage, Matches
 from telewide.correction.registered import Patches, cut_patches, find_patches
+from telewide.srgb import grey
 
 FloatArray = NDArray[np.float64]
 Spectra = NDArray[np.complex64]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from telewide.correction.asymmetry import estimate_asymmetry
+from telewide.correction.bandwidth import estimate_asymmetry
 from telewide.correction.colour import (
     ColourFit,
     apply_colour,

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from telewide.correction.asymmetry import blur_to_bandwidth, estimate_asymmetry, grey
+from telewide.correction.bandwidth import blur_to_bandwidth, estimate_asymmetry
 from telewide.errors import InputError
+from telewide.srgb import grey
 
 FloatImage = NDArray[np.float32]
 Points = NDArray[np.float64]

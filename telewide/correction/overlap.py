@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from telewide.correction.asymmetry import grey
 from telewide.correction.matches import FloatImage
+from telewide.srgb import grey
 
 _MAX_FEATURES = 2000
 _LONGEST_SIDE_PX = 800

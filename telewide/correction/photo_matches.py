@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from telewide.correction.asymmetry import grey
 from telewide.correction.epipolar import MATCHING_SIDE_PX
 from telewide.correction.matches import (
     FloatImage,
@@ -32,6 +31,7 @@ from telewide.correction.resample import resample
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import rectifying_rotation, rig_at_sizes
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
+from telewide.srgb import grey
 
 FloatArray = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.asymmetry import grey
 from telewide.correction.matches import FloatImage, Points
+from telewide.srgb import grey
 
 MIN_SCALE_MATCHES = 15
 """Fewer agreeing matches than this are no measurement."""
