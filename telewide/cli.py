@@ -24,6 +24,7 @@ from telewide.cli_board import board
 from telewide.cli_calibrate import CALIBRATE_EPILOG, SHOW_EPILOG, calibrate, show
 from telewide.cli_import import IMPORT_EPILOG, import_photos
 from telewide.cli_simulate import SIMULATE_EPILOG, simulate
+from telewide.command_line import command_line
 from telewide.errors import TelewideError, UsageError
 from telewide.stopping import INTERRUPTED, terminable
 from telewide.training.processes import this_process
@@ -119,10 +120,9 @@ def train(
         outcome = train_captures(
             captures, run=out, recipe=resolved, fresh=fresh, device=device, observer=observer, rig=rig
         )
-        run_flag = f" --run {out}" if out is not None else ""
-        captures_flag = f" {captures}" if captures != Path("captures") else ""
+        named = () if captures == Path("captures") else (captures,)
         observer.said(f"weights: {outcome.weights}")
-        observer.said(f"next: telewide depth{captures_flag}{run_flag} --bokeh")
+        observer.said(f"next: {command_line('depth', *named, run=out, rig=rig, bokeh=True)}")
     if as_json:
         _print_json(
             {

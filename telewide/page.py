@@ -13,10 +13,13 @@ import numpy as np
 from telewide.capture.images import read_image
 from telewide.capture.pair import PhotoPair
 from telewide.capture.rundir import RunFolder
+from telewide.command_line import command_line
 from telewide.geometry.stereo import DisparityMap
 from telewide.output.depth import DepthResult
 from telewide.output.preview import disparity_panel, display_range_px
 from telewide.output.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
+from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from telewide.training.stages import plan_stages
 
 
 def report_row(pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[str, float]) -> ReportRow:
@@ -36,35 +39,50 @@ def report_row(pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[st
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
 
 
-def write_page(run: RunFolder, rows: Iterable[ReportRow], *, recipe: str, captures: Path) -> Path:
+def write_page(
+    run: RunFolder, rows: Iterable[ReportRow], *, recipe: Recipe, captures: Path, rig: Path | None = None
+) -> Path:
     """Write ``report.html`` of a run.
 
     Args:
         run: its folder.
         rows: the captures.
-        recipe: description of the recipe.
+        recipe: it was trained with.
         captures: folder of the captures, for the commands it names.
+        rig: rig file its user named, likewise; None where one is found without its name, or none is needed.
 
     Returns:
         Path of the page.
     """
-    steps = (
-        NextStep("Train longer, for better depth:", f"telewide run {captures} --out {run.root}-default"),
-        NextStep(
-            "Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):",
-            f"telewide depth {captures} --run {run.root} --bokeh --focus near",
-        ),
-        NextStep("Your own photos:", "telewide run my-captures/"),
-    )
     return write_report(
         run.root / "report.html",
         tuple(rows),
         title="Depth and bokeh from a wide and a tele lens",
-        summary=recipe,
+        summary=recipe.description,
         curves=training_curves(run.training_log),
-        next_steps=steps,
+        next_steps=next_steps(run, recipe=recipe, captures=captures, rig=rig),
         facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
     )
+
+
+def next_steps(run: RunFolder, *, recipe: Recipe, captures: Path, rig: Path | None) -> tuple[NextStep, ...]:
+    """What to do after a run, each with a command that can be pasted into a shell.
+
+    Args:
+        run: its folder.
+        recipe: it was trained with; a longer training is advised where the default recipe has more steps.
+        captures: folder of the captures.
+        rig: rig file its user named, or None.
+    """
+    steps = []
+    if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
+        longer = command_line("run", captures, rig=rig, out=f"{run.root}-{DEFAULT_RECIPE}")
+        steps.append(NextStep("Train longer, for better depth:", longer))
+    near = command_line("depth", captures, run=run.root, rig=rig, bokeh=True, focus="near")
+    steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
+    own = command_line("run", "my-captures/")
+    steps.append(NextStep("Your own photos, once telewide calibrate has made a rig of your lenses:", own))
+    return tuple(steps)
 
 
 def training_curves(log: Path) -> tuple[Curve, ...]:
@@ -86,6 +104,10 @@ def training_curves(log: Path) -> tuple[Curve, ...]:
     ]
     named = (("loss", losses), ("held-out matches off by more than 1 px, %", answers))
     return tuple(curve(label, points) for label, points in named if points)
+
+
+def _training_steps(recipe: Recipe) -> int:
+    return sum(stage.options.steps for stage in plan_stages(recipe.train))
 
 
 def _disparity_picture(folder: Path, root: Path) -> Picture:

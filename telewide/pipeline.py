@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide.align import locate_rig, shot_precision
-from telewide.calibration.rig_file import StoredRig
+from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
+from telewide.command_line import command_line
 from telewide.correction.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.matcher import Matcher, choose_matcher
@@ -197,6 +198,7 @@ class _Call:
     processes: Processes
     observer: Observer
     rig: StoredRig | None
+    rig_file: Path | None
     begun_s: float = field(default_factory=time.monotonic)
 
 
@@ -208,16 +210,17 @@ def _begun(
     found_rig = locate_rig(rig, captures)
     refuse_without_rig(captures, rig=found_rig)
     with joined_processes(device) as processes:
-        yield _Call(captures, folder, recipe, device, processes, observer, found_rig)
+        yield _Call(captures, folder, recipe, device, processes, observer, found_rig, rig)
 
 
 def _check(call: _Call, options: DepthOptions) -> None:
     rig = None if call.rig is None else call.rig.rig
     check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
     if options.known is not None and len(call.captures.captures) > 1:
+        one = call.captures.root / call.captures.captures[0].name
         raise UsageError(
             f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
-            hint=f"name one: telewide depth {call.captures.root}/{call.captures.captures[0].name} --distance X,Y,M",
+            hint=f"name one: {command_line('depth', one, rig=call.rig_file, distance='X,Y,M')}",
         )
     if (options.known is not None or options.trusts_focus) and rig is None:
         raise UsageError(
@@ -229,9 +232,8 @@ def _prepare(call: _Call) -> PreparedSet:
     """Correct the pairs; of several processes each does its share, and then finds those of the others done."""
     captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
     if call.rig is not None and call.rig.quality.verdict == "insufficient":
-        call.observer.said(
-            "the rig is marked insufficient: telewide show rig.yaml says what to photograph for a better one"
-        )
+        shown = command_line("show", call.rig_file or RIG_FILE)
+        call.observer.said(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
     call.observer.preparing(captures)
     if call.processes.world == 1:
         prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
@@ -393,7 +395,7 @@ def _report(call: _Call, done: DepthRun) -> Path:
         )
         for outcome in done.outcomes
     )
-    return write_page(call.folder, rows, recipe=call.recipe.description, captures=call.captures.root)
+    return write_page(call.folder, rows, recipe=call.recipe, captures=call.captures.root, rig=call.rig_file)
 
 
 def _record(

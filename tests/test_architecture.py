@@ -18,6 +18,7 @@ LAYERS = {
     "errors": 0,
     "options": 0,
     "assets": 0,
+    "command_line": 0,
     "metrics": 0,
     "srgb": 0,
     "geometry": 0,

@@ -192,6 +192,20 @@ def test_missing_cuda(captures: Path, capsys: pytest.CaptureFixture[str]) -> Non
     refused(capsys, "train", "--device", "cuda", code=5, names=("CUDA", "--device cpu"))
 
 
+def test_training_says_how_to_go_on_from_it(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from telewide.train import TrainOutcome
+
+    done = TrainOutcome(Path("weights.safetensors"), False, {}, "feature-1")
+    monkeypatch.setattr("telewide.pipeline.train_captures", lambda *_, **__: done)
+    assert run_cli("train", "my captures", "--out", "my run", "--rig", "phone rig.yaml") == 0
+    advised = "next: telewide depth 'my captures' --run 'my run' --rig 'phone rig.yaml' --bokeh"
+    assert advised in capsys.readouterr().err.splitlines()
+    assert run_cli("train") == 0
+    assert "next: telewide depth --bokeh" in capsys.readouterr().err.splitlines()
+
+
 def test_our_own_fault_asks_for_a_report(
     captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,48 @@
+"""What the report page of a run advises to do next: commands that can be pasted into a shell."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from telewide.capture.rundir import RunFolder
+from telewide.cli import main
+from telewide.page import next_steps
+from telewide.recipe import Recipe, load_recipe
+
+RIG = Path("my rigs/phone.yaml")
+
+
+def commands(recipe: Recipe, *, rig: Path | None) -> dict[str, list[str]]:
+    """The words of each command, by its subcommand and captures."""
+    steps = next_steps(RunFolder(Path("my run")), recipe=recipe, captures=Path("my captures"), rig=rig)
+    words = [shlex.split(step.command) for step in steps]
+    assert all(word[0] == "telewide" for word in words)
+    return {" ".join(word[1:3]): word[1:] for word in words}
+
+
+@pytest.mark.parametrize("rig", [None, RIG])
+def test_the_same_captures_keep_their_rig(rig: Path | None) -> None:
+    asked = commands(load_recipe("quick"), rig=rig)
+    for words in (asked["run my captures"], asked["depth my captures"]):
+        assert (words[words.index("--rig") + 1] == str(RIG)) if rig else ("--rig" not in words)
+    assert "--rig" not in asked["run my-captures/"], "own photos have lenses of their own"
+    assert asked["depth my captures"][2:4] == ["--run", "my run"]
+
+
+def test_every_command_is_one_the_program_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in commands(load_recipe("quick"), rig=RIG).values():
+        with pytest.raises(SystemExit) as left:
+            main(words)
+        assert left.value.code == 2
+        assert f"{Path(words[1])} does not exist" in capsys.readouterr().err
+
+
+def test_a_longer_training_is_advised_where_there_is_one() -> None:
+    assert "run my captures" in commands(load_recipe("quick"), rig=None)
+    assert "run my captures" not in commands(load_recipe("default", seed=5), rig=None)
