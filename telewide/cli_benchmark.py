@@ -90,6 +90,10 @@ def matches(
     uncorrected: Annotated[
         bool, typer.Option("--uncorrected", help="Also judge sgm on the pairs without correction.")
     ] = False,
+    rig: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]"),
+    ] = None,
     device: DeviceOption = "auto",
     json_file: JsonFileOption = None,
 ) -> None:
@@ -114,6 +118,7 @@ def matches(
             recipe=recipe_of_run(pairs_run, captures),
             tell=_tell,
             trained_runs=[RunFolder(folder) for folder in dict.fromkeys(folders)],
+            rig=rig,
         )
     _hand_over(report, matches_table(report), json_file)
 

@@ -13,14 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.align import locate_rig
 from telewide.benchmark.matchers import Matcher
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import CaptureFacts, RectifiedPair, find_captures, read_pair
 from telewide.capture.rundir import RunFolder
 from telewide.correction.held_out import match_errors_px, summarise_errors
+from telewide.errors import UsageError
 from telewide.matching.window import Window
-from telewide.prepare import PreparedPair, prepare_captures
+from telewide.prepare import PreparedPair, prepare_captures, refuse_without_rig
 from telewide.recipe import Recipe
 
 Errors = NDArray[np.float64]
@@ -54,6 +56,7 @@ def benchmark_matches(
     recipe: Recipe,
     tell: Callable[[str], None],
     trained_runs: Sequence[RunFolder] = (),
+    rig: Path | None = None,
 ) -> BenchmarkReport:
     """Judge matchers by the held-out matches of real pairs.
 
@@ -64,14 +67,25 @@ def benchmark_matches(
         recipe: what is corrected.
         tell: hears how far it is.
         trained_runs: their records say which captures no training has seen.
+        rig: rig file, or None for the one that lies by the captures.
 
     Returns:
         A row for each entrant and set of captures: all, and those that none of the runs has seen.
 
     Raises:
+        UsageError: uncorrected pairs are asked for, and the captures are rectified with a rig.
         InputError: no capture can be used.
     """
-    prepared = prepare_captures(find_captures(captures_root), run, recipe=recipe)
+    captures = find_captures(captures_root)
+    found_rig = locate_rig(rig, captures)
+    if found_rig is not None and not all(entrant.is_corrected for entrant in entrants):
+        raise UsageError(
+            f"the captures in {captures_root} are rectified with a rig: without it no row of one photo is that of the "
+            "other, and no match can be judged",
+            hint=f"leave --{UNCORRECTED} out",
+        )
+    refuse_without_rig(captures, rig=found_rig)
+    prepared = prepare_captures(captures, run, recipe=recipe, rig=found_rig)
     unseen, window = _unseen_captures(trained_runs)
     errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
     for item in prepared.pairs:

@@ -7,14 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rig_worlds import phone_rig, photos_of_a_plane
 
 from telewide.benchmark.matchers import Matcher
 from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
 from telewide.benchmark.report import BenchmarkReport
-from telewide.capture.images import read_pfm
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
+from telewide.capture.images import read_pfm, write_image
+from telewide.capture.pair import find_captures
 from telewide.capture.rundir import RunFolder
+from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.window import Window
+from telewide.prepare import prepare_captures
 from telewide.recipe import Recipe
 from telewide.simulate.captures import write_captures
 
@@ -51,6 +57,46 @@ def measured(captures: Path, *, trained_runs: tuple[RunFolder, ...] = ()) -> Ben
         tell=lambda _: None,
         trained_runs=trained_runs,
     )
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Captures as a phone took them, and the file of its rig, which lies elsewhere."""
+    folder = tmp_path_factory.mktemp("photographed")
+    rig = phone_rig(width_px=480)
+    tele, wide = photos_of_a_plane(rig, np.random.default_rng(7))
+    write_image(folder / "captures" / "plane" / "tele.png", tele)
+    write_image(folder / "captures" / "plane" / "wide.png", wide)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    write_stored_rig(folder / "rigs" / "phone.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+    return folder / "captures", folder / "rigs" / "phone.yaml"
+
+
+def flat(ref: Map, src: Map, window: Window) -> DisparityMap:
+    height, width = ref.shape[:2]
+    return DisparityMap(*(np.zeros((height, width), kind) for kind in (np.float32, np.float32, np.bool_)))
+
+
+def test_photos_are_rectified_with_the_rig_and_the_pairs_of_the_run_stay(
+    photographed: tuple[Path, Path], tmp_path: Path
+) -> None:
+    captures, rig = photographed
+    run = RunFolder(tmp_path / "run")
+    prepare_captures(find_captures(captures), run, recipe=Recipe(), rig=read_rig(rig))
+    pair = run.pairs / "plane" / "pair.json"
+    written_ns = pair.stat().st_mtime_ns
+    entrants = [Entrant(Matcher("flat", flat))]
+    report = benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None, rig=rig)
+    assert pair.stat().st_mtime_ns == written_ns
+    assert int(str(report.rows[0]["matches"])) > 20
+
+
+def test_pairs_that_need_a_rig_cannot_be_judged_uncorrected(photographed: tuple[Path, Path], tmp_path: Path) -> None:
+    captures, rig = photographed
+    entrants, run = [Entrant(Matcher("flat", flat), is_corrected=False)], RunFolder(tmp_path / "run")
+    with pytest.raises(UsageError, match="rectified with a rig"):
+        benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None, rig=rig)
+    assert not run.root.exists()
 
 
 def test_the_truth_misses_few_matches_and_a_shifted_one_nearly_all(captures: Path) -> None:
