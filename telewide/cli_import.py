@@ -54,11 +54,11 @@ def import_photos(
         _show(plan)
     if not plan.pairs and not plan.known:
         raise _no_pair(dcim, plan, is_shown=not quiet and not as_json)
-    if as_json:
-        typer.echo(json.dumps(_json_of(plan, captures, is_dry=dry_run), ensure_ascii=False))
     if not dry_run:
         with _progress("importing", is_quiet=quiet) as tick:
             carry_out(plan, captures, is_linked=link, tick=tick)
+    if as_json:
+        typer.echo(json.dumps(_json_of(plan, captures, is_dry=dry_run), ensure_ascii=False))
     if not quiet:
         _say_done(plan, captures, is_dry=dry_run)
 

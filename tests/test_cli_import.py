@@ -65,6 +65,13 @@ def test_json_is_one_object(roll: Path, tmp_path: Path) -> None:
     assert all(one["reason"] for one in told["unpaired"])
 
 
+def test_an_import_that_fails_has_no_answer(roll: Path, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    result = run(roll, tmp_path / "taken" / "captures", "--json")
+    assert isinstance(result.exception, UsageError)
+    assert result.stdout == ""
+
+
 def test_no_pair_is_an_error(roll: Path, tmp_path: Path) -> None:
     (roll / "T1.jpg").unlink()
     result = run(roll, tmp_path / "captures", "--json")
