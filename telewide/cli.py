@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn, TextIO
 
 import typer
 
@@ -26,7 +27,7 @@ from telewide.cli_import import IMPORT_EPILOG, import_photos
 from telewide.cli_simulate import SIMULATE_EPILOG, simulate
 from telewide.command_line import command_line
 from telewide.errors import TelewideError, UsageError
-from telewide.stopping import INTERRUPTED, terminable
+from telewide.stopping import INTERRUPTED, UNREAD, terminable
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -242,14 +243,27 @@ def _exit_code(arguments: Sequence[str] | None, interrupted: Callable[[], int] =
         code = app(words, prog_name="telewide", standalone_mode=False)
         if code == INTERRUPTED:  # how the parser hands Ctrl-C over
             raise KeyboardInterrupt
-    except BrokenPipeError:
-        return 0
+    except SystemExit as left:
+        if not isinstance(left.__context__, BrokenPipeError):  # the parser and rich leave so where nobody reads on
+            raise
+        return UNREAD
     except (Exception, KeyboardInterrupt) as error:
         failure = _told(error, interrupted)
         if "--json" in words:
-            _print_json(dataclasses.asdict(failure))
+            with _perhaps_unread(sys.stdout):
+                _print_json(dataclasses.asdict(failure))
         return failure.exit_code
     return code if isinstance(code, int) else 0
+
+
+@contextmanager
+def _perhaps_unread(stream: TextIO) -> Iterator[None]:
+    """Write what changes no exit code where nobody reads it."""
+    try:
+        yield
+    except BrokenPipeError:
+        # What is left in its buffer would be one more error at the end of the program.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @dataclass(frozen=True)
@@ -264,19 +278,20 @@ class _Failure:
 def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
     """Say on standard error what went wrong."""
     show = getattr(error, "show", None)  # the parser's own errors know how to show themselves
-    if isinstance(error, TelewideError):
-        failure = _Failure(error.message, error.hint, error.exit_code)
-        typer.echo(f"error: {error.message}" + (f"\n  {error.hint}" if error.hint else ""), err=True)
-    elif isinstance(error, KeyboardInterrupt | typer.Abort):
-        failure = _Failure("stopped; what was finished is kept", "run the same command to continue", interrupted())
-        typer.echo(f"{failure.error}, {failure.hint}", err=True)
-    elif callable(show):
-        show()
-        failure = _Failure(str(error), None, int(getattr(error, "exit_code", 2)))
-    else:
-        traceback.print_exception(error)
-        failure = _Failure(f"{type(error).__name__}: {error}", f"please report this: {_ISSUES_HINT}", 1)
-        typer.echo(f"this is a fault in telewide, not in your files; please report {_ISSUES_HINT}", err=True)
+    with _perhaps_unread(sys.stderr):
+        if isinstance(error, TelewideError):
+            failure = _Failure(error.message, error.hint, error.exit_code)
+            typer.echo(f"error: {error.message}" + (f"\n  {error.hint}" if error.hint else ""), err=True)
+        elif isinstance(error, KeyboardInterrupt | typer.Abort):
+            failure = _Failure("stopped; what was finished is kept", "run the same command to continue", interrupted())
+            typer.echo(f"{failure.error}, {failure.hint}", err=True)
+        elif callable(show):
+            failure = _Failure(str(error), None, int(getattr(error, "exit_code", 2)))
+            show()
+        else:
+            failure = _Failure(f"{type(error).__name__}: {error}", f"please report this: {_ISSUES_HINT}", 1)
+            traceback.print_exception(error)
+            typer.echo(f"this is a fault in telewide, not in your files; please report {_ISSUES_HINT}", err=True)
     return failure
 
 

@@ -1,6 +1,7 @@
 """The errors a user can cause, each with the exit code the command line gives it.
 
-Exit codes: 0 done, 1 our own fault, 2 usage, 3 bad input, 4 quality gate, 5 missing optional part, 130 interrupted.
+Exit codes: 0 done, 1 our own fault, 2 usage, 3 bad input, 4 quality gate, 5 missing optional part, 130 interrupted,
+141 nobody reads what it writes, 143 terminated.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 INTERRUPTED = 130
+UNREAD = 141
 TERMINATED = 143
 """Exit codes: 128 and the number of the signal, as shells have them."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from capture.roll import TELE, WIDE, exif_of, write_photo
 from telewide.capture.images import write_image
 from telewide.cli import main
 from telewide.simulate.captures import write_captures
+from telewide.stopping import UNREAD
 
 COMMANDS = ("import", "board", "calibrate", "show", "train", "depth", "run", "simulate")
 
@@ -218,6 +220,31 @@ def test_our_own_fault_asks_for_a_report(
     assert "Traceback" in told.err
     assert "please report" in told.err
     assert json.loads(told.out)["exit_code"] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "unread_output", "unread_messages"),
+    [
+        (("--help",), UNREAD, 0),
+        (("--version",), UNREAD, 0),
+        (("depth", "nowhere"), 2, 2),
+        (("depth", "nowhere", "--json"), 2, 2),
+        (("depth", "--json", "--nonsense"), 2, 2),
+    ],
+)
+def test_a_pipe_that_nobody_reads(words: tuple[str, ...], unread_output: int, unread_messages: int) -> None:
+    """Never success where the answer is lost, never a fault of ours; a failure stays the failure it was."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    command = [sys.executable, "-m", "telewide", *words]
+    try:
+        done = subprocess.run(command, stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
+        assert (done.returncode, "Traceback" in done.stderr) == (unread_output, False)
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=write_end, text=True, check=False)
+        assert done.returncode == unread_messages
+        assert ("exit_code" in done.stdout) == ("--json" in words)
+    finally:
+        os.close(write_end)
 
 
 def test_stopping_by_hand(captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
