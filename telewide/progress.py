@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -185,7 +186,7 @@ def captures_table(reports: Sequence[PairReport]) -> Table:
     colours = {"good": "green", "usable": "cyan", "doubtful": "yellow", "refused": "red"}
     for report in reports:
         table.add_row(
-            report.name,
+            escape(report.name),
             str(report.n_matches),
             _number(report.vertical_offset_px, "+.2f"),
             "-" if report.asymmetry is None else f"{report.asymmetry:.1f}",
