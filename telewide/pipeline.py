@@ -138,7 +138,7 @@ def depth_captures(
     """
     device = "cpu" if options.method == "sgm" else options.device
     with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
-        # What can be refused is refused before any photo is read.
+        # What can be refused is refused before any pair is made.
         _check(call, options)
         matcher = _matcher(call, options)
         _make_folder(options.out or call.folder.depth)

@@ -13,12 +13,15 @@ import pytest
 import yaml
 
 from telewide.capture.facts import CaptureFacts
-from telewide.capture.images import read_image, read_pfm
-from telewide.capture.pair import find_captures
+from telewide.capture.images import read_image, read_pfm, write_image
+from telewide.capture.pair import Capture, find_captures
 from telewide.cli import main
+from telewide.correction.held_out import HeldOut
 from telewide.errors import UsageError
+from telewide.geometry.stereo import DisparityMap
 from telewide.metrics import three_pixel_error
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bokeh
+from telewide.output.capture_depth import DepthOutcome, depth_of_capture
 from telewide.output.kept import KeptDepth, read_kept, write_kept
 from telewide.simulate.captures import write_captures
 
@@ -133,6 +136,23 @@ class TestFiles:
             assert np.median(read_pfm(Path(capture["files"][0]))) < 0
 
 
+def test_depth_goes_onto_the_tele_photo_and_needs_no_other(simulated: Path, tmp_path: Path) -> None:
+    (pair, _) = find_captures(simulated).captures
+    height, width = read_image(pair.tele_path).shape[:2]
+    matched = DisparityMap(*(np.ones((height, width), kind) for kind in (np.float32, np.float32, np.bool_)))
+    done = depth_of_capture(
+        Capture(pair.name, pair.tele_path, tmp_path / "gone.png"),
+        HeldOut(pair, np.zeros((0, 2)), np.zeros(0)),
+        tmp_path / "depth",
+        facts=CaptureFacts(),
+        match=lambda ref, src: matched,
+        bokeh=None,
+        key={},
+    )
+    assert isinstance(done, DepthOutcome)
+    np.testing.assert_array_equal(read_pfm(tmp_path / "depth" / "disparity.pfm"), matched.disparity_px)
+
+
 def by_suffix(source: Path, folder: Path) -> None:
     for view in source.glob("*/*"):
         shutil.copy(view, folder / f"{view.parent.name}_{view.name}")
@@ -224,9 +244,18 @@ class TestBokehOptions:
         with pytest.raises(UsageError, match="outside"):
             check_bokeh(BokehOptions(focus="216,143"), captures)
 
-    def test_no_strength_leaves_the_photo(self, simulated: Path, matched: Path) -> None:
-        from telewide.geometry.stereo import DisparityMap
+    def test_the_sizes_of_the_photos_are_enough(self, simulated: Path, tmp_path: Path) -> None:
+        for view in ("tele", "wide"):
+            path = tmp_path / "cut off" / f"{view}.jpg"
+            write_image(path, read_image(simulated / "000" / f"{view}.png"))
+            path.write_bytes(path.read_bytes()[:2000])
+        captures = find_captures(tmp_path)
+        check_bokeh(BokehOptions(focus="auto"), captures)
+        with pytest.raises(UsageError, match="216 x 144"):
+            check_bokeh(BokehOptions(focus="216,143"), captures)
+        check_bokeh(BokehOptions(focus="215,143"), captures)
 
+    def test_no_strength_leaves_the_photo(self, simulated: Path, matched: Path) -> None:
         photo = read_image(simulated / "000" / "tele.png")
         flat = DisparityMap(
             np.full(photo.shape[:2], 7, np.float32),
@@ -238,8 +267,6 @@ class TestBokehOptions:
     def test_a_wider_aperture_blurs_more(self, simulated: Path) -> None:
         photo = read_image(simulated / "000" / "tele.png")
         truth_px = read_pfm(simulated / "000" / "truth.pfm")
-        from telewide.geometry.stereo import DisparityMap
-
         disparity = DisparityMap(truth_px, np.ones_like(truth_px), np.ones(truth_px.shape, bool))
         changes = [
             float(np.abs(bokeh_picture(photo, disparity, options=options, baseline_m=0.01) - photo).mean())

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from telewide.capture.images import read_image
+from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet
 from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
@@ -18,7 +16,7 @@ from telewide.output.bokeh import (
     radius_per_px_from_strength,
     render_bokeh,
 )
-from telewide.output.focus import FOCUS_WORDS, Focus, find_focus
+from telewide.output.focus import FOCUS_WORDS, Focus, find_focus, named_point
 
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
@@ -57,11 +55,12 @@ def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m:
             "--f-number needs the distance of the two lenses, which neither a rig nor captures.yaml states",
             hint="calibrate, state baseline_m in captures.yaml, or give the blur in pixels with --strength",
         )
+    if named_point(bokeh.focus, hw=None) is None:
+        return
     refusal: UsageError | None = None
     for capture in captures.captures:
         try:
-            blank = np.zeros(read_image(capture.tele_path).shape[:2], np.float32)
-            find_focus(blank, blank, focus=bokeh.focus)
+            named_point(bokeh.focus, hw=read_photo_facts(capture.tele_path).hw)
         except UsageError as error:
             refusal = error
         except InputError:  # it is a problem of that capture, and said where the captures are read

@@ -148,11 +148,10 @@ def _make(
     pair = read_pair(held_out.capture)
     working = match(pair.tele, pair.wide)
     matched_s = time.monotonic()
+    photo = read_image(source.tele_path)
     if shot is None:
-        photo = read_pair(source, facts=facts).tele
         result = depth_result(source.name, on_photo(working, photo), facts=facts)
     else:
-        photo = read_image(source.tele_path)
         result = _result_of_shot(source.name, working, photo, shot=shot)
     before = fingerprint(folder / "disparity.pfm") if (folder / "disparity.pfm").is_file() else None
     written = write_depth(folder, result, image=photo)

@@ -66,9 +66,10 @@ def find_focus(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> F
     known = np.isfinite(disparity_px)
     if not known.any():
         raise InputError("the disparity map holds no known value")
-    word = focus.strip().lower()
-    if word not in FOCUS_WORDS:
-        return _at_point(disparity_px, known, _parsed_point(focus, hw=disparity_px.shape))
+    point_xy = named_point(focus, hw=disparity_px.shape)
+    if point_xy is not None:
+        return _at_point(disparity_px, known, point_xy)
+    word = _word(focus)
     trusted = known & (confidence >= CONFIDENT)
     if not trusted.any():
         trusted = known
@@ -80,20 +81,35 @@ def find_focus(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> F
     return _placed(disparity_px, trusted, focus_px)
 
 
-def _parsed_point(focus: str, *, hw: tuple[int, int]) -> tuple[int, int]:
-    """Column and row named by "X,Y"."""
+def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Column and row of the tele photo that a focus names; None for one of the words.
+
+    Args:
+        focus: as in :func:`find_focus`.
+        hw: height and width of the photo, px; None where they are not known, and any point will do.
+
+    Raises:
+        UsageError: the focus is none of these, or a point outside the photo.
+    """
+    if _word(focus) in FOCUS_WORDS:
+        return None
     try:
         x, y = (float(part) for part in focus.split(","))
-    except ValueError:
+        column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+    except (ValueError, OverflowError):  # also of nan and inf
         raise UsageError(
             f"focus {focus!r}: expected X,Y in pixels of the tele photo, or one of {', '.join(FOCUS_WORDS)}"
         ) from None
-    if not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
+    if hw is not None and not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
         raise UsageError(
             f"focus {focus!r} lies outside the tele photo of {hw[1]} x {hw[0]} px",
             hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
         )
-    return math.floor(x + 0.5), math.floor(y + 0.5)
+    return column, row
+
+
+def _word(focus: str) -> str:
+    return focus.strip().lower()
 
 
 def _at_point(disparity_px: FloatMap, known: BoolMap, point_xy: tuple[int, int]) -> Focus:

@@ -52,13 +52,13 @@ def test_focus_point_is_the_surface_under_it(scene_px: np.ndarray) -> None:
     assert found_px(scene_px, confidence, focus="80,60") == 12
 
 
-@pytest.mark.parametrize("focus", ["160,5", "5,120", "-1,5", "5,-1", "1e9,4", "nan,3", "inf,3"])
+@pytest.mark.parametrize("focus", ["160,5", "5,120", "-1,5", "5,-1", "1e9,4"])
 def test_focus_outside_the_photo_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="160 x 120"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
 
 
-@pytest.mark.parametrize("focus", ["", "nearest", "12", "1,2,3", "a,b"])
+@pytest.mark.parametrize("focus", ["", "nearest", "12", "1,2,3", "a,b", "nan,3", "3,inf"])
 def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="X,Y"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
