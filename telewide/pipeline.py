@@ -263,7 +263,8 @@ def _train(call: _Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
         labelling=call.observer.labelling,
     )
     timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
-    _record(call, prepared, command="train", options=call.recipe.model_dump(mode="json"), timings=timings)
+    asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}
+    _record(call, prepared, command="train", options=asked, timings=timings)
     return outcome
 
 
@@ -303,7 +304,7 @@ def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: Dep
     if n_kept:
         same = "same photos, same weights, same options"
         call.observer.said(f"{n_kept} of {len(outcomes)} captures are as they were: {same}")
-    asked = {"method": options.method, "weights": str(options.weights or "newest of the run")}
+    asked = {**asdict(options), "matcher": matcher.key}
     _record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
     problems = (*prepared.problems, *(failure.problem for failure in failures))
     return DepthRun(options.out or call.folder.depth, outcomes, problems)

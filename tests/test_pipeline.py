@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from collections.abc import Callable, Mapping
@@ -23,6 +24,7 @@ from telewide.metrics import three_pixel_error
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bokeh
 from telewide.output.capture_depth import DepthOutcome, depth_of_capture
 from telewide.output.kept import KeptDepth, read_kept, write_kept
+from telewide.pipeline import DepthOptions
 from telewide.simulate.captures import write_captures
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}
@@ -98,6 +100,13 @@ class TestFiles:
             note = next(note for note in kept["notes"] if "bokeh" in note)
             assert note.startswith(f"{folder.name}: bokeh is focused on x {x}, y {y}")
             assert f"{numbers['focus_px']:.1f} px" in note
+
+    def test_the_run_records_what_was_asked_for(self, matched: Path, simulated: Path) -> None:
+        record = json.loads((matched.parent / "run.json").read_text())["commands"]["depth"]
+        options = DepthOptions(method="sgm", bokeh=BokehOptions())
+        assert record["options"] == {**dataclasses.asdict(options), "matcher": "sgm"}
+        views = {f"../{simulated.name}/{name}/{view}.png" for name in ("000", "001") for view in ("tele", "wide")}
+        assert set(record["inputs_sha256"]) == views
 
     def test_bokeh_blurs_and_keeps_the_focus(self, matched: Path, simulated: Path) -> None:
         photo, blurred = read_image(simulated / "000" / "tele.png"), read_image(matched / "000" / "bokeh.jpg")

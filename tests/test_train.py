@@ -140,7 +140,8 @@ def test_training_leaves_weights_record_log_and_sheets(captures: Path, tmp_path:
         *(("photometric", step) for step in (1, 2, 3, 4)),
         *(("feature-1", step) for step in (1, 2)),
     ]
-    assert json.loads((run / "run.json").read_text())["commands"]["train"]["options"]["window_px"] == [0, 32]
+    options = json.loads((run / "run.json").read_text())["commands"]["train"]["options"]
+    assert (options["window_px"], options["rig"], options["device"], options["fresh"]) == ([0, 32], None, "cpu", False)
 
 
 def test_ground_truth_is_not_read_in_training(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
