@@ -3,9 +3,8 @@
     captures ── prepare (correct each shot) ── train (rehearsal ► photometric ► feature-metric stages) ── weights
                          └────────────────────── match ── follow tele's edges ── depth ── bokeh ── files
 
-Only this module, `prepare`, `train` and `matcher` know the run folder. Whoever calls hears of the progress through an
-:class:`Observer`. Started by ``torchrun``, every process prepares and matches its share of the captures, all train
-together, and each comes to know the results of all.
+Whoever calls hears of the progress through an :class:`Observer`. Started by ``torchrun``, every process prepares and
+matches its share of the captures, all train together, and each comes to know the results of all.
 """
 
 from __future__ import annotations

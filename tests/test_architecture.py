@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -186,6 +187,14 @@ def test_torch_only_in_matching_and_training() -> None:
     assert all_findings(torch_findings) == []
     assert torch_findings(module_from_text("def f():\n    import torch.nn", name="output.bokeh")) != []
     assert torch_findings(module_from_text("import torch", name="matching.semiglobal")) != []
+
+
+def test_contributing_names_who_knows_the_run_folder(repo: Path) -> None:
+    knows = [m.name for m in modules() if any(name == "telewide.capture.rundir.RunFolder" for name, _ in imports(m))]
+    told = (
+        (repo / "CONTRIBUTING.md").read_text().partition("no global, no print.")[2].partition(" torch is imported")[0]
+    )
+    assert sorted(knows) == sorted(re.findall(r"`([\w.]+)`", told))
 
 
 def test_colour_science_only_in_correction_colour() -> None:

@@ -19,11 +19,11 @@ from telewide.geometry.stereo import BoolMap, FloatMap
 FloatArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 
-JUMP_PX = 1.0  # a difference between neighbours that is an edge and no slope
+JUMP_PX = 1.0  # a difference between neighbours that is an edge and no slope, in photos of any size
 DOUBT_PX = 4  # how far from its true place a matcher leaves an edge
 REACH_PX = 8  # half the window
 STEP_PX = 2  # every other pixel of the window is enough
-FULL_SCALE_WIDTH_PX = 1600  # the lengths above are for photos up to this width, and grow with larger ones
+FULL_SCALE_WIDTH_PX = 1600  # DOUBT_PX, REACH_PX and STEP_PX are for photos up to this width, and grow with larger ones
 ROUNDS = 3
 COLOUR_SIGMA = 0.06  # of sRGB values
 EDGE_WEIGHT = 0.15  # of a neighbour within DOUBT_PX of an edge
