@@ -6,7 +6,6 @@ Answers go to standard output, everything else to standard error. Exit codes: se
 from __future__ import annotations
 
 import dataclasses
-import json
 import logging
 import os
 import sys
@@ -23,6 +22,15 @@ import typer
 from telewide.cli_benchmark import benchmark_app
 from telewide.cli_board import board
 from telewide.cli_calibrate import CALIBRATE_EPILOG, SHOW_EPILOG, calibrate, show
+from telewide.cli_console import (
+    DeviceOption,
+    JsonOption,
+    QuietOption,
+    RigOption,
+    check_device,
+    console_observer,
+    print_json,
+)
 from telewide.cli_import import IMPORT_EPILOG, import_photos
 from telewide.cli_simulate import SIMULATE_EPILOG, simulate
 from telewide.command_line import command_line
@@ -58,9 +66,6 @@ RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, 
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe; may be repeated.")
 ]
-RigOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
-]
 DistanceOption = Annotated[
     str | None,
     typer.Option(
@@ -68,11 +73,8 @@ DistanceOption = Annotated[
         help="A point of the tele photo and its distance, metres; exif: its middle, at the focus EXIF states.",
     ),
 ]
-DeviceOption = Annotated[str, typer.Option(metavar="auto|cpu|cuda", help="Where to compute.")]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
 METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, needs no training."
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
 FNumberOption = Annotated[
     float | None, typer.Option(help="Aperture of the 50 mm lens to imitate; needs the lenses' distance.")
@@ -115,9 +117,9 @@ def train(
     from telewide.pipeline import train_captures
     from telewide.recipe import load_recipe
 
-    _check_device(device)
+    check_device(device)
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
-    with _observer(is_quiet=quiet) as observer:
+    with console_observer(is_quiet=quiet) as observer:
         outcome = train_captures(
             captures, run=out, recipe=resolved, fresh=fresh, device=device, observer=observer, rig=rig
         )
@@ -125,7 +127,7 @@ def train(
         observer.said(f"weights: {outcome.weights}")
         observer.said(f"next: {command_line('depth', *named, run=out, rig=rig, bokeh=True)}")
     if as_json:
-        _print_json(
+        print_json(
             {
                 "weights": str(outcome.weights),
                 "is_new": outcome.is_new,
@@ -174,12 +176,12 @@ def depth(
     )
     from telewide.pipeline import depth_captures, recipe_of_run
 
-    with _observer(is_quiet=quiet, shows_table=False) as observer:
+    with console_observer(is_quiet=quiet, shows_table=False) as observer:
         recipe = recipe_of_run(run, captures)
         done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
         _say_depth(done, observer)
     if as_json:
-        _print_json(_json_of_depth(done))
+        print_json(_json_of_depth(done))
 
 
 @app.command("run", epilog="Example: `telewide run examples/captures --recipe quick`")
@@ -213,12 +215,12 @@ def run_everything(
         distance=distance,
     )
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
-    with _observer(is_quiet=quiet) as observer:
+    with console_observer(is_quiet=quiet) as observer:
         done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
         _say_depth(done, observer)
         observer.said(f"report: {done.report}")
     if as_json:
-        _print_json({**_json_of_depth(done), "report": str(done.report)})
+        print_json({**_json_of_depth(done), "report": str(done.report)})
 
 
 app.command(epilog=SIMULATE_EPILOG)(simulate)
@@ -251,7 +253,7 @@ def _exit_code(arguments: Sequence[str] | None, interrupted: Callable[[], int] =
         failure = _told(error, interrupted)
         if "--json" in words:
             with _perhaps_unread(sys.stdout):
-                _print_json(dataclasses.asdict(failure))
+                print_json(dataclasses.asdict(failure))
         return failure.exit_code
     return code if isinstance(code, int) else 0
 
@@ -295,25 +297,6 @@ def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
     return failure
 
 
-@contextmanager
-def _observer(*, is_quiet: bool, shows_table: bool = True) -> Iterator[ConsoleObserver]:
-    from rich.console import Console
-
-    from telewide.progress import ConsoleObserver
-
-    console = Console(stderr=True, quiet=not this_process().is_writer)
-    observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table)
-    try:
-        yield observer
-    finally:
-        observer.close()
-
-
-def _check_device(device: str) -> None:
-    if device not in ("auto", "cpu", "cuda"):
-        raise UsageError(f"--device {device}: expected auto, cpu or cuda")
-
-
 def _depth_options(
     *,
     method: str,
@@ -328,7 +311,7 @@ def _depth_options(
     from telewide.matcher import METHODS
     from telewide.pipeline import DepthOptions
 
-    _check_device(device)
+    check_device(device)
     if method not in METHODS:
         raise UsageError(f"--method {method}: expected {', '.join(METHODS)}")
     if weights is not None and not weights.is_file():
@@ -372,15 +355,9 @@ def _json_of_depth(done: DepthRun) -> dict[str, object]:
                 "name": outcome.name,
                 "files": [str(path) for path in outcome.paths],
                 "notes": list(outcome.notes),
-                "numbers": {name: value if value == value else None for name, value in outcome.numbers.items()},
+                "numbers": dict(outcome.numbers),
             }
             for outcome in done.outcomes
         ],
         "problems": [{"name": problem.name, "message": problem.message} for problem in done.problems],
     }
-
-
-def _print_json(content: dict[str, object]) -> None:
-    """Print the one object of a command, however many processes worked on it."""
-    if this_process().is_writer:
-        typer.echo(json.dumps(content, ensure_ascii=False))

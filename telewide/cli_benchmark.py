@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from telewide.cli_console import DeviceOption, RigOption, check_device, console_observer
 from telewide.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ benchmark_app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
-DEVICES = ("auto", "cpu", "cuda")
-DeviceOption = Annotated[str, typer.Option(metavar="|".join(DEVICES), help="Where to compute.")]
 JsonFileOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the numbers, the machine and the versions to FILE.")
 ]
@@ -46,7 +45,7 @@ def speed(
     """Time a training step and an inference, and measure peak memory, with and without bf16."""
     from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
 
-    _check_device(device)
+    check_device(device)
     options = SpeedOptions(matchers=tuple(matcher or ()), device=device, repeats=repeats, warm_up=warm_up)
     report = measure_speed(options, tell=_tell)
     _hand_over(report, speed_table(report), json_file)
@@ -71,7 +70,7 @@ def middlebury(
     from telewide.benchmark.matchers import all_matchers
     from telewide.benchmark.middlebury import SPLITS, benchmark_middlebury, middlebury_table
 
-    _check_device(device)
+    check_device(device)
     if split not in SPLITS:
         raise UsageError(f"--split {split}: expected {', '.join(SPLITS)}")
     matchers = all_matchers(run or (), device=device)
@@ -90,10 +89,7 @@ def matches(
     uncorrected: Annotated[
         bool, typer.Option("--uncorrected", help="Also judge sgm on the pairs without correction.")
     ] = False,
-    rig: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]"),
-    ] = None,
+    rig: RigOption = None,
     device: DeviceOption = "auto",
     json_file: JsonFileOption = None,
 ) -> None:
@@ -103,7 +99,7 @@ def matches(
     from telewide.capture.rundir import RunFolder
     from telewide.pipeline import recipe_of_run
 
-    _check_device(device)
+    check_device(device)
     sources = run or []
     entrants = [Entrant(matcher) for matcher in all_matchers(sources, device=device)]
     if uncorrected:
@@ -138,31 +134,19 @@ def metres(
     json_file: JsonFileOption = None,
 ) -> None:
     """Measure depth in metres from simulated photos, the wide lens still and moving, with and without a cast."""
-    from rich.console import Console
-
     from telewide.benchmark.metres import MetresOptions, benchmark_metres, depth_makers, metres_table
-    from telewide.progress import ConsoleObserver
 
-    _check_device(device)
+    check_device(device)
     options = MetresOptions(captures=captures, boards=boards, width=width, seed=seed, device=device)
     makers = depth_makers(run or ())
-    observer = ConsoleObserver(Console(stderr=True), shows_table=False)
-    try:
-        with _folder_or_temporary(keep) as folder:
-            report = benchmark_metres(folder, makers, options, observer=observer)
-    finally:
-        observer.close()
+    with console_observer(shows_table=False) as observer, _folder_or_temporary(keep) as folder:
+        report = benchmark_metres(folder, makers, options, observer=observer)
     _hand_over(report, metres_table(report), json_file)
 
 
 def _run_of(source: Path) -> Path:
     """The run folder itself, or the one a weights file lies in."""
     return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source
-
-
-def _check_device(device: str) -> None:
-    if device not in DEVICES:
-        raise UsageError(f"--device {device}: expected auto, cpu or cuda")
 
 
 @contextmanager

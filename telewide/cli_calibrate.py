@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from telewide.cli_console import JsonOption, QuietOption, console_observer, print_json
 from telewide.errors import QualityError, UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from telewide.calibration.rig_file import StoredRig
     from telewide.progress import ConsoleObserver
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 PhotosArgument = Annotated[
     Path | None,
     typer.Argument(
@@ -68,7 +66,7 @@ def calibrate(
     out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = Path("rig.yaml"),
     seed: Annotated[int, typer.Option(help="Seed of the choice of photos held out.")] = 0,
     as_json: JsonOption = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")] = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Turn photos of a board, taken with both lenses, into rig.yaml and a report that says how good it is."""
     _check_out(out)
@@ -83,7 +81,7 @@ def calibrate(
     from telewide.calibration.rig_file import stored_rig
 
     options = CalibrateOptions(board=board, square_m=square_m, out=out, seed=seed)
-    with _observer(is_quiet=quiet) as observer:
+    with console_observer(is_quiet=quiet) as observer:
         done = calibrate_boards(photos or BOARDS_FOLDER, options=options, observer=observer)
         stored = stored_rig(done.calibration, facts=done.facts)
         _say(stored, done.notes, observer)
@@ -107,7 +105,7 @@ def show(
 
     stored = read_rig(rig)
     if as_json:
-        typer.echo(json.dumps(_plain(yaml.safe_load(rig.read_text(encoding="utf-8"))), ensure_ascii=False, default=str))
+        print_json(yaml.safe_load(rig.read_text(encoding="utf-8")))
     else:
         typer.echo("\n".join(rig_lines(stored)))
 
@@ -117,19 +115,6 @@ def _check_out(out: Path) -> None:
         raise UsageError(f"--out {out}: a file that ends in .yaml was expected")
     if out.is_dir():
         raise UsageError(f"--out {out} is a folder; a file was expected")
-
-
-@contextmanager
-def _observer(*, is_quiet: bool) -> Iterator[ConsoleObserver]:
-    from rich.console import Console
-
-    from telewide.progress import ConsoleObserver
-
-    observer = ConsoleObserver(Console(stderr=True), is_quiet=is_quiet)
-    try:
-        yield observer
-    finally:
-        observer.close()
 
 
 def _refuse_options_of_scenes(stated: Mapping[str, object]) -> None:
@@ -159,7 +144,7 @@ def _scene_options(
 def _calibrate_scenes(photos: Path | None, options: SceneOptions, *, as_json: bool, quiet: bool) -> None:
     from telewide.calibrate_scenes import CAPTURES_FOLDER, calibrate_scenes
 
-    with _observer(is_quiet=quiet) as observer:
+    with console_observer(is_quiet=quiet) as observer:
         done = calibrate_scenes(photos or CAPTURES_FOLDER, options=options, observer=observer)
         _say(done.stored, done.notes, observer)
         observer.said(f"rig: {done.rig}")
@@ -215,7 +200,7 @@ def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, as_jso
     if failure is not None:
         answer = {**answer, "error": failure.message, "hint": failure.hint, "exit_code": failure.exit_code}
         typer.echo(f"error: {failure.message}\n  {failure.hint}", err=True)
-    typer.echo(json.dumps(_plain(answer), ensure_ascii=False))
+    print_json(answer)
     if failure is not None:
         raise typer.Exit(failure.exit_code)
 
@@ -240,14 +225,3 @@ def _json_of(stored: StoredRig, notes: Sequence[str]) -> dict[str, object]:
         "left_out": list(stored.left_out),
         "notes": list(notes),
     }
-
-
-def _plain(value: object) -> object:
-    """Numbers that do not exist become null; JSON has none of them."""
-    if isinstance(value, dict):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from telewide.cli_console import JsonOption, QuietOption, bar, print_json
+from telewide.command_line import command_line
 from telewide.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 IMPORT_EPILOG = "Example: `telewide import /media/phone/DCIM captures/ --dry-run`"
 _TABLE_WIDTH = 200
 _MAX_LISTED = 5
-_Tick = Callable[[int, int], None]
 
 
 def import_photos(
@@ -37,8 +35,8 @@ def import_photos(
         float | None, typer.Option(help="FocalLength of the wide lens. [default: as the photos tell]")
     ] = None,
     link: Annotated[bool, typer.Option("--link", help="Hard links instead of copies, where possible.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Pair the photos of a camera roll by phone, lens and time; a second call adds what is new."""
     from telewide.capture.importer import carry_out, plan_import
@@ -48,17 +46,17 @@ def import_photos(
         if value is not None and not value > 0:
             raise UsageError(f"{name} {value:g}: a number above 0 was expected")
     choice = LensChoice(tele_mm=tele_mm, wide_mm=wide_mm, max_seconds=max_seconds)
-    with _progress("looking at photos", is_quiet=quiet) as tick:
-        plan = plan_import(dcim, captures, choice=choice, tick=tick)
+    with bar("looking at photos", is_quiet=quiet) as shown:
+        plan = plan_import(dcim, captures, choice=choice, tick=shown.reach)
     if not quiet and not as_json:
         _show(plan)
     if not plan.pairs and not plan.known:
         raise _no_pair(dcim, plan, is_shown=not quiet and not as_json)
     if not dry_run:
-        with _progress("importing", is_quiet=quiet) as tick:
-            carry_out(plan, captures, is_linked=link, tick=tick)
+        with bar("importing", is_quiet=quiet) as shown:
+            carry_out(plan, captures, is_linked=link, tick=shown.reach)
     if as_json:
-        typer.echo(json.dumps(_json_of(plan, captures, is_dry=dry_run), ensure_ascii=False))
+        print_json(_json_of(plan, captures, is_dry=dry_run))
     if not quiet:
         _say_done(plan, captures, is_dry=dry_run)
 
@@ -136,7 +134,7 @@ def _say_done(plan: ImportPlan, captures: Path, *, is_dry: bool) -> None:
         typer.echo(f"left out: {len(plan.unpaired)}", err=True)
     if not is_dry and plan.pairs:
         typer.echo("next: telewide calibrate boards/  (photos of a board, taken with both lenses)", err=True)
-        typer.echo(f"  or without a board: telewide calibrate {captures} --from-scenes", err=True)
+        typer.echo(f"  or without a board: {command_line('calibrate', captures, from_scenes=True)}", err=True)
 
 
 def _json_of(plan: ImportPlan, captures: Path, *, is_dry: bool) -> dict[str, object]:
@@ -169,15 +167,3 @@ def _json_of_photo(path: Path, facts: PhotoFacts) -> dict[str, object]:
         "f35_mm": facts.f35_mm,
         "taken": facts.taken.isoformat() if facts.taken else None,
     }
-
-
-@contextmanager
-def _progress(what: str, *, is_quiet: bool) -> Iterator[_Tick]:
-    """Show a bar on a terminal, nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
-        task = progress.add_task(what)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from telewide.cli_console import bar
+from telewide.command_line import command_line
 from telewide.errors import UsageError
 
 if TYPE_CHECKING:
@@ -108,7 +110,7 @@ def _simulate_pairs(
 
     folders = write_captures(out, count=captures, seed=seed, hw=hw, factor=factor, scene=scene or "still-life")
     typer.echo(f"wrote {len(folders)} captures to {out}", err=True)
-    typer.echo(f"next: telewide train {out}", err=True)
+    typer.echo(f"next: {command_line('train', out)}", err=True)
 
 
 def _simulate_phone(out: Path, captures: int, seed: int, *, boards: int, width: int) -> None:
@@ -121,23 +123,12 @@ def _simulate_phone(out: Path, captures: int, seed: int, *, boards: int, width: 
 def _simulate_rooms(out: Path, captures: int, seed: int, *, boards: int, how: RoomShots) -> None:
     from telewide.simulate.rooms import write_rooms
 
-    with _bar("rendering", total=captures + boards) as tick:
-        write_rooms(out, captures=captures, boards=boards, seed=seed, how=how, tick=tick)
+    with bar("rendering", total=captures + boards) as shown:
+        write_rooms(out, captures=captures, boards=boards, seed=seed, how=how, tick=shown.advance)
     _say_phone(out, captures)
 
 
 def _say_phone(out: Path, captures: int) -> None:
     typer.echo(f"wrote {captures} captures and photos of a board to {out}", err=True)
-    typer.echo(f"next: cd {out} && telewide calibrate --board chessboard_9x6 --square-m 0.025", err=True)
-
-
-@contextmanager
-def _bar(what: str, *, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar on a terminal, nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda: progress.advance(task)
+    calibrate = command_line("calibrate", board="chessboard_9x6", square_m=0.025)
+    typer.echo(f"next: cd {shlex.quote(str(out))} && {calibrate}", err=True)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from telewide.align import locate_rig
 from telewide.benchmark.matchers import Matcher
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
+from telewide.calibration.rig_file import StoredRig
 from telewide.capture.images import resize_bicubic
-from telewide.capture.pair import CaptureFacts, RectifiedPair, find_captures, read_pair
+from telewide.capture.pair import CaptureFacts, CaptureSet, RectifiedPair, find_captures, read_pair
 from telewide.capture.rundir import RunFolder
 from telewide.correction.held_out import match_errors_px, summarise_errors
 from telewide.errors import UsageError
@@ -77,14 +78,7 @@ def benchmark_matches(
         InputError: no capture can be used.
     """
     captures = find_captures(captures_root)
-    found_rig = locate_rig(rig, captures)
-    if found_rig is not None and not all(entrant.is_corrected for entrant in entrants):
-        raise UsageError(
-            f"the captures in {captures_root} are rectified with a rig: without it no row of one photo is that of the "
-            "other, and no match can be judged",
-            hint=f"leave --{UNCORRECTED} out",
-        )
-    refuse_without_rig(captures, rig=found_rig)
+    found_rig = _suitable_rig(rig, captures, entrants)
     prepared = prepare_captures(captures, run, recipe=recipe, rig=found_rig)
     unseen, window = _unseen_captures(trained_runs)
     errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
@@ -108,6 +102,19 @@ def benchmark_matches(
         notes.append("no capture is known to be unseen by every network, so all matches are of captures trained on")
     options = {"captures": sets, "window": list(window or prepared.window)}
     return BenchmarkReport("matches", options, rows, tuple(notes))
+
+
+def _suitable_rig(stated: Path | None, captures: CaptureSet, entrants: Sequence[Entrant]) -> StoredRig | None:
+    """What the captures are to be rectified with, where that leaves something to judge."""
+    rig = locate_rig(stated, captures)
+    refuse_without_rig(captures, rig=rig)
+    if rig is not None and not all(entrant.is_corrected for entrant in entrants):
+        raise UsageError(
+            f"the captures in {captures.root} are rectified with a rig: without it no row of one photo is that of the "
+            "other, and no match can be judged",
+            hint=f"leave --{UNCORRECTED} out",
+        )
+    return rig
 
 
 def matches_table(report: BenchmarkReport) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import platform
@@ -12,6 +11,7 @@ from importlib import metadata
 from pathlib import Path
 
 from telewide.capture.rundir import write_text
+from telewide.json_text import json_text
 
 FORMAT = 1
 _PACKAGES = ("telewide", "numpy", "opencv-contrib-python-headless", "scipy", "torch")
@@ -63,7 +63,7 @@ def write_report_json(report: BenchmarkReport, path: Path) -> None:
         "rows": report.rows,
         "notes": report.notes,
     }
-    write_text(path, json.dumps(_finite(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(path, json_text(content, indent=2) + "\n")
 
 
 def markdown_table(headings: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -90,16 +90,6 @@ def number(value: object, form: str) -> str:
     if not isinstance(value, int | float) or not math.isfinite(value):
         return "-"
     return format(value, form)
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _version(package: str) -> str | None:
