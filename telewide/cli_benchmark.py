@@ -67,16 +67,16 @@ def middlebury(
     json_file: JsonFileOption = None,
 ) -> None:
     """Measure errors against known disparity, the second view made soft."""
-    from telewide.benchmark.matchers import all_matchers
+    from telewide.benchmark.contenders import all_contenders
     from telewide.benchmark.middlebury import SPLITS, benchmark_middlebury, middlebury_table
 
     check_device(device)
     if split not in SPLITS:
         raise UsageError(f"--split {split}: expected {', '.join(SPLITS)}")
-    matchers = all_matchers(run or (), device=device)
+    contenders = all_contenders(run or (), device=device)
     with _folder_or_temporary(captures) as folder:
         report = benchmark_middlebury(
-            data_root, matchers, scenes=SPLITS[split], factor=factor, captures=folder, tell=_tell
+            data_root, contenders, scenes=SPLITS[split], factor=factor, captures=folder, tell=_tell
         )
     _hand_over(report, middlebury_table(report), json_file)
 
@@ -94,16 +94,16 @@ def matches(
     json_file: JsonFileOption = None,
 ) -> None:
     """Count the held-out matches that each matcher misses on your captures; the first run's pairs are used."""
-    from telewide.benchmark.matchers import all_matchers, semiglobal_matcher
+    from telewide.benchmark.contenders import all_contenders, semiglobal_contender
     from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
     from telewide.capture.rundir import RunFolder
     from telewide.pipeline import recipe_of_run
 
     check_device(device)
     sources = run or []
-    entrants = [Entrant(matcher) for matcher in all_matchers(sources, device=device)]
+    entrants = [Entrant(contender) for contender in all_contenders(sources, device=device)]
     if uncorrected:
-        entrants.insert(1, Entrant(semiglobal_matcher(), is_corrected=False))
+        entrants.insert(1, Entrant(semiglobal_contender(), is_corrected=False))
     folders = [_run_of(source) for source in sources]
     with_pairs = (folder for folder in folders if RunFolder(folder).pairs.is_dir())
     with _folder_or_temporary(next(with_pairs, None)) as pairs_run:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.align import locate_rig
-from telewide.benchmark.matchers import Matcher
+from telewide.benchmark.contenders import Contender
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.images import resize_bicubic
@@ -33,20 +33,20 @@ ALL, HELD_OUT = "all", "held out"
 
 @dataclass(frozen=True)
 class Entrant:
-    """A matcher and the pairs it is given.
+    """A contender and the pairs it is given.
 
     Attributes:
-        matcher: what makes the disparity.
+        contender: what makes the disparity.
         is_corrected: whether the pairs are corrected.
     """
 
-    matcher: Matcher
+    contender: Contender
     is_corrected: bool = True
 
     @property
     def name(self) -> str:
         """As it stands in tables."""
-        return self.matcher.name if self.is_corrected else f"{self.matcher.name}, {UNCORRECTED}"
+        return self.contender.name if self.is_corrected else f"{self.contender.name}, {UNCORRECTED}"
 
 
 def benchmark_matches(
@@ -78,17 +78,14 @@ def benchmark_matches(
         InputError: no capture can be used.
     """
     captures = find_captures(captures_root)
-    found_rig = _suitable_rig(rig, captures, entrants)
-    prepared = prepare_captures(captures, run, recipe=recipe, rig=found_rig)
-    unseen, window = _unseen_captures(trained_runs)
+    prepared = prepare_captures(captures, run, recipe=recipe, rig=_suitable_rig(rig, captures, entrants))
+    unseen, trained_window = _unseen_captures(trained_runs)
+    window = trained_window or prepared.window
     errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
     for item in prepared.pairs:
         tell(f"{item.capture.name}: {len(item.held_out.ref_px)} matches")
         for entrant in entrants:
-            pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, prepared.facts)
-            searched = entrant.matcher.window or window or prepared.window
-            disparity = entrant.matcher.match(pair.tele, pair.wide, searched)
-            errors_px[entrant.name][item.capture.name] = match_errors_px(disparity.disparity_px, item.held_out)
+            errors_px[entrant.name][item.capture.name] = _errors_px(item, entrant, facts=prepared.facts, window=window)
     names = [item.capture.name for item in prepared.pairs]
     sets = {ALL: names, HELD_OUT: [name for name in names if name in unseen]}
     rows = tuple(
@@ -100,8 +97,7 @@ def benchmark_matches(
     notes = [f"{problem.name}: {problem.message}" for problem in prepared.problems]
     if not sets[HELD_OUT]:
         notes.append("no capture is known to be unseen by every network, so all matches are of captures trained on")
-    options = {"captures": sets, "window": list(window or prepared.window)}
-    return BenchmarkReport("matches", options, rows, tuple(notes))
+    return BenchmarkReport("matches", {"captures": sets, "window": list(window)}, rows, tuple(notes))
 
 
 def _suitable_rig(stated: Path | None, captures: CaptureSet, entrants: Sequence[Entrant]) -> StoredRig | None:
@@ -131,6 +127,12 @@ def _unseen_captures(runs: Sequence[RunFolder]) -> tuple[frozenset[str], Window 
     if not records or len(records) < len(runs):
         return frozenset(), records[0].window if records else None
     return frozenset.intersection(*(frozenset(record.held_out) for record in records)), records[0].window
+
+
+def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> Errors:
+    pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
+    disparity = entrant.contender.match(pair.tele, pair.wide, entrant.contender.window or window)
+    return match_errors_px(disparity.disparity_px, item.held_out)
 
 
 def _uncorrected(item: PreparedPair, facts: CaptureFacts) -> RectifiedPair:

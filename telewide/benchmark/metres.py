@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.benchmark.matchers import source_labels
+from telewide.benchmark.contenders import source_labels
 from telewide.benchmark.memory import SGM
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.calibration.boards import board_points_m, load_board, resized_board

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.benchmark.matchers import Matcher
+from telewide.benchmark.contenders import Contender
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.capture.datasets import write_middlebury_captures
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
@@ -67,7 +67,7 @@ def score_map(estimate_px: FloatMap, truth_px: FloatMap, *, skipped_columns: int
 
 def benchmark_middlebury(
     data_root: Path,
-    matchers: Sequence[Matcher],
+    contenders: Sequence[Contender],
     *,
     scenes: Sequence[str],
     factor: float,
@@ -78,7 +78,7 @@ def benchmark_middlebury(
 
     Args:
         data_root: holds one folder per scene.
-        matchers: what to judge.
+        contenders: what to judge.
         scenes: names of the scenes.
         factor: how many times fewer pixels the soft view has along each side.
         captures: folder to write the pairs to.
@@ -98,11 +98,11 @@ def benchmark_middlebury(
         pair, truth_px = read_pair(found[scene]), read_truth(found[scene])
         if truth_px is None:
             raise InputError(f"{captures / scene} was written and has no truth")
-        for matcher in matchers:
-            tell(f"{scene}: {matcher.name}")
-            disparity = matcher.match(pair.tele, pair.wide, WINDOW)
+        for contender in contenders:
+            tell(f"{scene}: {contender.name}")
+            disparity = contender.match(pair.tele, pair.wide, WINDOW)
             for follows, estimate_px in ((False, disparity.disparity_px), (True, _followed(disparity, pair))):
-                rows.append(_row(matcher.name, scene, score_map(estimate_px, truth_px), follows=follows))
+                rows.append(_row(contender.name, scene, score_map(estimate_px, truth_px), follows=follows))
     options = {"scenes": list(scenes), "factor": factor, "window": WINDOW, "skipped_columns": SKIPPED_COLUMNS}
     return BenchmarkReport("middlebury", options, tuple(_with_means(rows)))
 

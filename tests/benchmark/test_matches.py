@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from rig_worlds import phone_rig, photos_of_a_plane
 
-from telewide.benchmark.matchers import Matcher
+from telewide.benchmark.contenders import Contender
 from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
 from telewide.benchmark.report import BenchmarkReport
 from telewide.calibration.quality import CalibrationQuality
@@ -28,14 +28,14 @@ Map = NDArray[np.float32]
 OFF_PX = 2.0
 
 
-def answering(name: str, disparity_px: Map) -> Matcher:
+def answering(name: str, disparity_px: Map) -> Contender:
     """A matcher that always gives one map."""
 
     def match(ref: Map, src: Map, window: Window) -> DisparityMap:
         assert ref.shape == src.shape == (*disparity_px.shape, 3)
         return DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
 
-    return Matcher(name, match)
+    return Contender(name, match)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_photos_are_rectified_with_the_rig_and_the_pairs_of_the_run_stay(
     prepare_captures(find_captures(captures), run, recipe=Recipe(), rig=read_rig(rig))
     pair = run.pairs / "plane" / "pair.json"
     written_ns = pair.stat().st_mtime_ns
-    entrants = [Entrant(Matcher("flat", flat))]
+    entrants = [Entrant(Contender("flat", flat))]
     report = benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None, rig=rig)
     assert pair.stat().st_mtime_ns == written_ns
     assert int(str(report.rows[0]["matches"])) > 20
@@ -93,7 +93,7 @@ def test_photos_are_rectified_with_the_rig_and_the_pairs_of_the_run_stay(
 
 def test_pairs_that_need_a_rig_cannot_be_judged_uncorrected(photographed: tuple[Path, Path], tmp_path: Path) -> None:
     captures, rig = photographed
-    entrants, run = [Entrant(Matcher("flat", flat), is_corrected=False)], RunFolder(tmp_path / "run")
+    entrants, run = [Entrant(Contender("flat", flat), is_corrected=False)], RunFolder(tmp_path / "run")
     with pytest.raises(UsageError, match="rectified with a rig"):
         benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None, rig=rig)
     assert not run.root.exists()

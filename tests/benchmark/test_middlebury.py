@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telewide.benchmark.matchers import Matcher, semiglobal_matcher
+from telewide.benchmark.contenders import Contender, semiglobal_contender
 from telewide.benchmark.middlebury import (
     SKIPPED_COLUMNS,
     SPLITS,
@@ -28,7 +28,7 @@ HW = (64, 128)
 Map = NDArray[np.float32]
 
 
-def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Matcher:
+def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Contender:
     """A matcher that knows the answer, but in its first columns."""
 
     def match(ref: Map, src: Map, window: Window) -> DisparityMap:
@@ -37,7 +37,7 @@ def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Match
         found_px[:, :wrong_columns] = 70
         return DisparityMap(found_px, np.ones_like(found_px), np.ones(found_px.shape, np.bool_))
 
-    return Matcher(name, match)
+    return Contender(name, match)
 
 
 @pytest.fixture
@@ -54,9 +54,9 @@ def scenes_root(tmp_path: Path, rng: np.random.Generator) -> Path:
     return root
 
 
-def measured(root: Path, *matchers: Matcher) -> BenchmarkReport:
+def measured(root: Path, *contenders: Contender) -> BenchmarkReport:
     return benchmark_middlebury(
-        root, matchers, scenes=("One", "Two"), factor=2, captures=root.parent / "captures", tell=lambda _: None
+        root, contenders, scenes=("One", "Two"), factor=2, captures=root.parent / "captures", tell=lambda _: None
     )
 
 
@@ -80,9 +80,9 @@ def test_the_first_columns_do_not_count() -> None:
 
 def test_rows_follow_the_protocol(scenes_root: Path) -> None:
     off_px = 4.0
-    matchers = (constant("perfect", DISPARITY_PX, wrong_columns=40), constant("off", DISPARITY_PX + off_px))
-    report = measured(scenes_root, *matchers)
-    assert len(report.rows) == len(matchers) * 2 * 3  # edges followed or not; two scenes and their mean
+    contenders = (constant("perfect", DISPARITY_PX, wrong_columns=40), constant("off", DISPARITY_PX + off_px))
+    report = measured(scenes_root, *contenders)
+    assert len(report.rows) == len(contenders) * 2 * 3  # edges followed or not; two scenes and their mean
     plain = [row for row in report.rows if not row["follow_edges"]]
     for row in plain:
         is_off = row["matcher"] == "off"
@@ -98,7 +98,7 @@ def test_the_table_has_a_line_for_each_matcher_and_kind(scenes_root: Path) -> No
 
 
 def test_semiglobal_matching_sees_the_pairs_the_right_way_round(scenes_root: Path) -> None:
-    report = measured(scenes_root, semiglobal_matcher())
+    report = measured(scenes_root, semiglobal_contender())
     assert report.rows[-2]["scene"] == "mean"
     assert float(str(report.rows[-2]["EPE_px"])) < 1
 

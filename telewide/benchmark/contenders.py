@@ -23,7 +23,7 @@ _STAGE_ORDER = ("rehearsal", "photometric", "feature")
 
 
 @dataclass(frozen=True)
-class Matcher:
+class Contender:
     """Something that makes disparity of two views.
 
     Attributes:
@@ -37,12 +37,12 @@ class Matcher:
     window: Window | None = None
 
 
-def semiglobal_matcher() -> Matcher:
+def semiglobal_contender() -> Contender:
     """The matcher that needs no training."""
-    return Matcher(SGM, lambda ref, src, window: match_semiglobal(ref, src, window=window))
+    return Contender(SGM, lambda ref, src, window: match_semiglobal(ref, src, window=window))
 
 
-def all_matchers(sources: Sequence[Path], *, device: str) -> list[Matcher]:
+def all_contenders(sources: Sequence[Path], *, device: str) -> list[Contender]:
     """Semi-global matching, then every stage of every run in the order of training, and each run's result with both.
 
     Args:
@@ -50,16 +50,16 @@ def all_matchers(sources: Sequence[Path], *, device: str) -> list[Matcher]:
         device: auto, cpu or cuda.
 
     Returns:
-        The matchers; the result of a run is named so, unless a stage before has the very weights. What `telewide depth`
-        computes ends in "+ sgm".
+        The contenders; the result of a run is named so, unless a stage before has the very weights. What
+        `telewide depth` computes ends in "+ sgm".
 
     Raises:
         UsageError: a path that does not exist, or a run without weights.
         InputError: a damaged weights file.
     """
-    found = [semiglobal_matcher()]
+    found = [semiglobal_contender()]
     for source, label in zip(sources, source_labels(sources), strict=True):
-        found += _matchers_of(source, label, device=device)
+        found += _contenders_of(source, label, device=device)
     return found
 
 
@@ -73,14 +73,14 @@ def source_labels(sources: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(source) for source in sources]
 
 
-def _matchers_of(source: Path, label: str, *, device: str) -> list[Matcher]:
+def _contenders_of(source: Path, label: str, *, device: str) -> list[Contender]:
     from telewide.matching.inference import choose_device
     from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
 
     torch_device = choose_device(device)
     if source.is_file():
         network, card = load_weights(source, device=torch_device)
-        return [_network_matcher(label, network, card.window), _joint_matcher(label, network, card.window)]
+        return [_network_contender(label, network, card.window), _joint_contender(label, network, card.window)]
     folder = RunFolder(source).train
     stages = sorted((p for p in folder.glob(f"*{_SUFFIX}") if p.name != WEIGHTS_NAME), key=_position)
     result = folder / WEIGHTS_NAME
@@ -94,26 +94,29 @@ def _matchers_of(source: Path, label: str, *, device: str) -> list[Matcher]:
         network, card = load_weights(result, device=torch_device)
         if not any(_is_equal(network, other) for _, other, _ in loaded):
             loaded.append(("result", network, card))
-        together = [_joint_matcher(label, network, card.window)]
-    return [*(_network_matcher(f"{label}/{stage}", network, card.window) for stage, network, card in loaded), *together]
+        together = [_joint_contender(label, network, card.window)]
+    return [
+        *(_network_contender(f"{label}/{stage}", network, card.window) for stage, network, card in loaded),
+        *together,
+    ]
 
 
-def _network_matcher(name: str, network: StereoNetwork, window: Window) -> Matcher:
+def _network_contender(name: str, network: StereoNetwork, window: Window) -> Contender:
     from telewide.matching.inference import match_with_network
 
     def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
         return match_with_network(ref, src, network=network, window=window)
 
-    return Matcher(name, match, window)
+    return Contender(name, match, window)
 
 
-def _joint_matcher(name: str, network: StereoNetwork, window: Window) -> Matcher:
+def _joint_contender(name: str, network: StereoNetwork, window: Window) -> Contender:
     from telewide.matching.joint import match_jointly
 
     def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
         return match_jointly(ref, src, network=network, window=window)
 
-    return Matcher(f"{name} + {SGM}", match, window)
+    return Contender(f"{name} + {SGM}", match, window)
 
 
 def _position(path: Path) -> tuple[int, int, str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telewide.benchmark.matchers import all_matchers
+from telewide.benchmark.contenders import all_contenders
 from telewide.errors import UsageError
 
 
@@ -23,29 +23,29 @@ def test_stages_come_in_the_order_of_training(tmp_path: Path) -> None:
         save(train / f"{stage}.safetensors", seed=seed)
     save(train / "weights.safetensors", seed=0)  # the very weights of feature-10
     expected = ["rehearsal", "photometric", "feature-2", "feature-10"]
-    found = all_matchers([tmp_path / "mine"], device="cpu")
-    assert [matcher.name for matcher in found] == ["sgm", *(f"mine/{stage}" for stage in expected), "mine + sgm"]
+    found = all_contenders([tmp_path / "mine"], device="cpu")
+    assert [contender.name for contender in found] == ["sgm", *(f"mine/{stage}" for stage in expected), "mine + sgm"]
     save(train / "weights.safetensors", seed=9)  # a training under way
-    assert [m.name for m in all_matchers([tmp_path / "mine"], device="cpu")[-2:]] == ["mine/result", "mine + sgm"]
+    assert [m.name for m in all_contenders([tmp_path / "mine"], device="cpu")[-2:]] == ["mine/result", "mine + sgm"]
 
 
 def test_a_weights_file_is_a_matcher_with_its_window(tmp_path: Path, rng: np.random.Generator) -> None:
     save(tmp_path / "kept.safetensors", seed=0)
-    _, *found = all_matchers([tmp_path / "kept.safetensors"], device="cpu")
-    assert [(matcher.name, matcher.window) for matcher in found] == [("kept", (0, 32)), ("kept + sgm", (0, 32))]
+    _, *found = all_contenders([tmp_path / "kept.safetensors"], device="cpu")
+    assert [(contender.name, contender.window) for contender in found] == [("kept", (0, 32)), ("kept + sgm", (0, 32))]
     ref, src = rng.random((2, 64, 96, 3), dtype=np.float32)
-    for matcher in found:
-        assert matcher.match(ref, src, (0, 16)).disparity_px.shape == (64, 96)
+    for contender in found:
+        assert contender.match(ref, src, (0, 16)).disparity_px.shape == (64, 96)
 
 
 def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
     runs = [tmp_path / place / "run" for place in ("a", "b")]
     for run in runs:
         save(run / "train" / "rehearsal.safetensors", seed=0)
-    names = [matcher.name for matcher in all_matchers(runs, device="cpu")]
+    names = [contender.name for contender in all_contenders(runs, device="cpu")]
     assert len(set(names)) == 3
 
 
 def test_a_folder_without_weights_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no trained network"):
-        all_matchers([tmp_path], device="cpu")
+        all_contenders([tmp_path], device="cpu")
