@@ -21,7 +21,7 @@ from telewide.calibration.boards import Board, board_points_m, load_board, resiz
 from telewide.calibration.exchanged import refuse_exchanged
 from telewide.calibration.recognise import recognise_board
 from telewide.calibration.result import Calibration
-from telewide.calibration.rig_file import RigFacts, write_rig
+from telewide.calibration.rig_file import RIG_FILE, RigFacts, write_rig
 from telewide.calibration.shots import BoardShot, detect_shots, find_board_shots
 from telewide.calibration.solve import calibrate_rig
 from telewide.capture.exif import common_pipeline, read_photo_facts
@@ -33,7 +33,6 @@ from telewide.output.report import NextStep
 from telewide.output.rig_report import write_rig_report
 
 BOARDS_FOLDER = Path("boards")
-RIG_FILE = Path("rig.yaml")
 _PREVIEW_WIDTH_PX = 1000
 
 

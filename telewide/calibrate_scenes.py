@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibrate import RIG_FILE, CalibrationObserver
+from telewide.calibrate import CalibrationObserver
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import CameraStd, TransformStd
-from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
+from telewide.calibration.rig_file import RIG_FILE, RigFacts, StoredRig, write_stored_rig
 from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.lenses import with_checked_lenses

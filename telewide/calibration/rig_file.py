@@ -23,7 +23,7 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.options import parse_options
 
-RIG_FILE = "rig.yaml"
+RIG_FILE = Path("rig.yaml")
 _ANOTHER_RIG = (
     "make it anew: telewide calibrate BOARDS, from photos of a board, or telewide calibrate CAPTURES --from-scenes; "
     "captures that are rectified need none: remove the file"
