@@ -32,14 +32,15 @@ from telewide.correction.blur import BlurEstimate, damage_range, fit_blur
 from telewide.correction.held_out import HeldOut
 from telewide.correction.inspect import CorrectedPair, PairReport, correct_pair, disparity_window, inspect_pair
 from telewide.correction.matches import find_matches
-from telewide.errors import InputError
+from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import FloatMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.recipe import Recipe
-from telewide.training.samples import LABELS_NAME
+from telewide.training.samples import LABELS_PREFIX, labels_path
 
 FORMAT = 4
+RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
 LABEL_CONFIDENCE = 0.5
 
@@ -160,7 +161,7 @@ def prepare_captures(
     for capture in captures.captures:
         try:
             prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig)
-        except InputError as error:
+        except (InputError, UsageError) as error:
             problems.append(Problem(capture.name, f"{error.message}; {error.hint}" if error.hint else error.message))
             prepared = None
         if prepared is not None and prepared.report.verdict == "refused":
@@ -201,6 +202,8 @@ def _prepare_pair(
         has_vertical=recipe.correction.vertical and not (alignment and alignment.refinement.is_fitted),
         has_colour=recipe.correction.colour,
     )
+    # Whatever happens until the new record is written, the old one must not vouch for new files.
+    (folder / RECORD_NAME).unlink(missing_ok=True)
     _write_pair(folder, corrected)
     blur = fit_blur(corrected.pair.tele, corrected.pair.wide, corrected.matches_fit)
     content = {
@@ -216,7 +219,7 @@ def _prepare_pair(
     }
     if alignment is not None:
         write_text(folder / SHOT_NAME, alignment_as_json(alignment))
-    write_text(folder / "pair.json", json.dumps(content, indent=2))
+    write_text(folder / RECORD_NAME, json.dumps(content, indent=2))
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is None:
         raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
@@ -255,7 +258,8 @@ def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
             fitted_ref_px=corrected.matches_fit.ref_px,
             fitted_src_px=corrected.matches_fit.src_px,
         )
-    (folder / LABELS_NAME).unlink(missing_ok=True)
+    for labels in folder.glob(f"{LABELS_PREFIX}*"):
+        labels.unlink()
 
 
 def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRig | None) -> dict[str, object]:
@@ -277,7 +281,7 @@ def _read_kept(
 ) -> PreparedPair | None:
     """The pair as an earlier call left it, or None where it is not there or was made from something else."""
     try:
-        content = json.loads((folder / "pair.json").read_text(encoding="utf-8"))
+        content = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
         if content["key"] != json.loads(json.dumps(key)):
             return None
         report = PairReport(**{**content["report"], "reasons": tuple(content["report"]["reasons"])})
@@ -310,20 +314,23 @@ def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair,
     return RectifiedPair(pair.name, tele, wide), width_px / width
 
 
-def write_labels(prepared: PreparedSet, *, names: Iterable[str], tick: Callable[[], None] | None = None) -> None:
+def write_labels(
+    prepared: PreparedSet, *, names: Iterable[str], window: Window, tick: Callable[[], None] | None = None
+) -> None:
     """Write the confident semi-global disparities of some pairs, to teach by; those that are there stay.
 
     Args:
         prepared: the pairs.
         names: of the pairs that training will see.
+        window: disparities to search, px at the working size.
         tick: called after each.
     """
     wanted = set(names)
     for item in prepared.pairs:
-        path = item.capture.tele_path.with_name(LABELS_NAME)
+        path = labels_path(item.capture.tele_path.parent, window_px=window)
         if item.capture.name in wanted and not path.is_file():
             pair = read_pair(item.capture)
-            write_pfm(path, _confident(pair, prepared.window))
+            write_pfm(path, _confident(pair, window))
         if tick is not None:
             tick()
 

@@ -33,7 +33,7 @@ class Recipe(Options):
     """One line for people."""
     network: str = "lite"
     """Name of the network."""
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     """Of weights and samples."""
     working_width_px: Annotated[int, Field(ge=128)] = 1536
     """Larger photos are matched at this width; depth comes back at their own size."""
@@ -70,7 +70,10 @@ def load_recipe(name: str, *, settings: Sequence[str] = (), seed: int | None = N
     if settings:
         changed = apply_settings(recipe.model_dump(mode="json"), settings)
         recipe = parse_options(Recipe, changed, source="--set", error=UsageError)
-    return recipe if seed is None else recipe.model_copy(update={"seed": seed})
+    if seed is not None:
+        changed = recipe.model_dump(mode="json") | {"seed": seed}
+        recipe = parse_options(Recipe, changed, source="--seed", error=UsageError)
+    return recipe
 
 
 def differing_keys(first: Mapping[str, object], second: Mapping[str, object], *, prefix: str = "") -> list[str]:

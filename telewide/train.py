@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,16 @@ from telewide.matching.window import Window
 from telewide.output.contact import ContactRow, contact_sheet, write_sheet
 from telewide.prepare import PreparedSet, write_labels
 from telewide.recipe import Recipe, differing_keys
-from telewide.training.checkpoint import STATE_NAME, WEIGHTS_NAME, TrainingState, load_state, new_optimiser, new_state
+from telewide.training.checkpoint import (
+    STATE_NAME,
+    WEIGHTS_NAME,
+    BestWeights,
+    TrainingState,
+    load_state,
+    new_optimiser,
+    new_state,
+    save_state,
+)
 from telewide.training.judge import network_judge
 from telewide.training.loop import Reporter, Training, train
 from telewide.training.processes import Processes
@@ -71,12 +81,14 @@ class TrainingRecord:
         window: disparities of the volume, px.
         captures: names of the captures it has seen or judged by.
         held_out: names of those kept for judging; empty where strips are.
+        judged: names of those it is judged by: the held-out ones, or a strip of each that there was at first.
     """
 
     recipe: Mapping[str, object]
     window: Window
     captures: tuple[str, ...]
     held_out: tuple[str, ...]
+    judged: tuple[str, ...]
 
 
 def train_prepared(
@@ -116,14 +128,19 @@ def train_prepared(
         _forget(run)
     processes.wait()
     record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=reporter)
+    processes.wait()  # all have read what the writer now changes
     if state.is_finished:
         return _outcome(run, plan, state, is_new=False)
     if processes.is_writer:
+        # First that there is something left to do, then that the new captures are known.
+        if (run.train / STATE_NAME).is_file():
+            save_state(state, run.train / STATE_NAME)
         _write_record(run, record)
         _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
         names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
-        write_labels(prepared, names=processes.share(names), tick=labelling(len(prepared.pairs)))
+        tick = labelling(len(prepared.pairs))
+        write_labels(prepared, names=processes.share(names), window=record.window, tick=tick)
     processes.wait()
     training = _training(prepared, run, record, recipe, device=device, processes=processes)
     logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
@@ -170,7 +187,9 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         first, end = content["window"]
-        return TrainingRecord(content["recipe"], (first, end), tuple(content["captures"]), tuple(content["held_out"]))
+        captures, held_out = tuple(content["captures"]), tuple(content["held_out"])
+        judged = tuple(content.get("judged", held_out or captures))
+        return TrainingRecord(content["recipe"], (first, end), captures, held_out, judged)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -182,7 +201,8 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     names = tuple(item.capture.name for item in prepared.pairs)
     resolved = recipe.model_dump(mode="json")
     if kept is None:
-        return TrainingRecord(resolved, prepared.window, names, _choose_held_out(names, recipe))
+        held_out = _choose_held_out(names, recipe)
+        return TrainingRecord(resolved, prepared.window, names, held_out, held_out or names)
     changed = differing_keys(kept.recipe, resolved)
     if changed:
         raise UsageError(
@@ -190,7 +210,18 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
             hint="use the same recipe to continue, --fresh to start over, or --out for another run folder",
         )
     # Window and held-out captures stay: the volume and the judge must not change under a network.
-    return TrainingRecord(resolved, kept.window, names, tuple(name for name in kept.held_out if name in names))
+    held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
+    if not judged:
+        raise UsageError(
+            f"the captures that this training is judged by are no longer there: {', '.join(kept.judged)}",
+            hint="put them back, or start over with --fresh",
+        )
+    if len(held_out) == len(names):
+        raise UsageError(
+            f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
+            hint="add captures, or start over with --fresh",
+        )
+    return TrainingRecord(resolved, kept.window, names, held_out, judged)
 
 
 def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
@@ -209,9 +240,11 @@ def _state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> Training
 
 
 def _reopen(state: TrainingState) -> None:
-    """A finished training takes its last stage again on the larger set, from its result."""
+    """A finished training takes its last stage again on the larger set, from its result, and ends no worse."""
     if state.is_finished:
-        state.is_finished, state.step, state.judgements, state.best = False, 0, [], None
+        state.is_finished, state.step, state.judgements = False, 0, []
+        result = {name: value.clone() for name, value in state.average.state_dict().items()}
+        state.best = BestWeights(0, state.stage_judgements[state.best_stage], result)
         state.stage_judgements = state.stage_judgements[: state.stage_index]
         state.best_stage = min(state.best_stage, max(0, state.stage_index - 1))
         state.optimiser = new_optimiser(state.network)
@@ -257,15 +290,18 @@ def judged_captures(prepared: PreparedSet, record: TrainingRecord, recipe: Recip
         return [item.held_out for item in prepared.pairs if item.capture.name in record.held_out]
     reader = PairReader(max_bytes=0)
     strips = []
-    for item in prepared.pairs:
+    for item in (item for item in prepared.pairs if item.capture.name in record.judged):
         width = reader.read(item.capture).tele.shape[1]
         strips.append(item.held_out.beyond((1 - recipe.train.held_out_share) * width))
     return strips
 
 
 def _workers(device: torch.device) -> int:
-    """One process prepares batches beside two computing cores; a GPU is fed by more."""
-    return 1 if device.type == "cpu" else min(8, max(1, (torch.get_num_threads() or 2) - 1))
+    """One process prepares batches beside two computing cores; a GPU is fed by more, out of its share of the cores."""
+    if device.type == "cpu":
+        return 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
+    return min(8, max(1, cores // int(os.environ.get("LOCAL_WORLD_SIZE", "1")) - 1))
 
 
 def _outcome(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
@@ -288,6 +324,7 @@ def _write_record(run: RunFolder, record: TrainingRecord) -> None:
         "window": list(record.window),
         "captures": list(record.captures),
         "held_out": list(record.held_out),
+        "judged": list(record.judged),
     }
     write_text(run.train / RECORD_NAME, json.dumps(content, indent=2) + "\n")
 

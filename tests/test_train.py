@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +22,17 @@ from training.small import Heard
 
 import telewide.train
 from telewide.capture.images import read_pfm
+from telewide.capture.pair import find_captures
+from telewide.capture.rundir import RunFolder
 from telewide.cli import main
 from telewide.errors import UsageError
 from telewide.pipeline import DepthOptions, depth_captures, train_captures
+from telewide.prepare import prepare_captures
 from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.train import TrainOutcome, read_record
 from telewide.training import loop
+from telewide.training.loop import DECISIVE
 
 RECIPE: Mapping[str, object] = {
     "network": "lite",
@@ -123,7 +127,7 @@ def test_training_without_labels_writes_and_needs_none(captures: Path, tmp_path:
     """As the paper's recipe does: photometric and feature-metric stages alone."""
     run = tmp_path / "run"
     run_training(captures, run, tiny("train.rehearsal.steps=0", path=recipe_path))
-    assert not list(run.rglob("labels.pfm"))
+    assert not list(run.rglob("labels_*"))
 
 
 def test_training_leaves_weights_record_log_and_sheets(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
@@ -203,17 +207,95 @@ def test_fresh_starts_over(captures: Path, tmp_path: Path, recipe_path: Path) ->
 def test_new_captures_are_taken_in(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     run, recipe = tmp_path / "run", tiny(path=recipe_path)
     run_training(captures, run, recipe)
-    write_captures(tmp_path / "more", count=1, seed=9, hw=(128, 192), factor=2)
-    shutil.copytree(tmp_path / "more" / "000", captures / "later")
+    add_capture(captures, tmp_path / "more")
     heard = Observer()
     outcome = run_training(captures, run, recipe, observer=heard)
     assert outcome.is_new
     assert any("later" in message for message in heard.messages)
     assert {stage for stage, _ in heard.losses} == {"feature-1"}, "the last stage is taken again, from its result"
-    record = read_record(telewide.train.RunFolder(run))
+    record = read_record(RunFolder(run))
     assert record is not None
     assert "later" in record.captures
     assert record.window == (0, 32)
+
+
+def add_capture(captures: Path, scratch: Path, *, name: str = "later") -> None:
+    write_captures(scratch, count=1, seed=9, hw=(128, 192), factor=2)
+    shutil.copytree(scratch / "000", captures / name)
+
+
+def test_new_captures_are_trained_on_after_a_stop_that_came_early(
+    captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+    run_training(captures, run, recipe)
+    add_capture(captures, tmp_path / "more")
+
+    def stop(*args: object, **kwargs: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(telewide.train, "network_judge", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run_training(captures, run, recipe)
+    heard = Observer()
+    assert run_training(captures, run, recipe, observer=heard).is_new
+    assert {stage for stage, _ in heard.losses} == {"feature-1"}
+
+
+def test_new_captures_do_not_change_the_judge(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
+    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+    run_training(captures, run, recipe)
+    add_capture(captures, tmp_path / "more")
+    run_training(captures, run, recipe)
+    record = read_record(RunFolder(run))
+    assert record is not None
+    assert record.judged == ("000", "001", "002")
+    prepared = prepare_captures(find_captures(captures), RunFolder(run), recipe=recipe)
+    judged = telewide.train.judged_captures(prepared, record, recipe)
+    assert [item.capture.name for item in judged] == ["000", "001", "002"]
+
+
+def test_a_training_without_its_judge_or_its_pictures_is_refused(
+    captures: Path, tmp_path: Path, recipe_path: Path
+) -> None:
+    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+    for name in ("003", "004"):
+        add_capture(captures, tmp_path / f"more_{name}", name=name)
+    run_training(captures, run, recipe)
+    record = read_record(RunFolder(run))
+    assert record is not None
+    held_out, seen = set(record.held_out), set(record.captures) - set(record.held_out)
+    assert held_out
+    assert seen
+    for names, message in ((held_out, "judged by are no longer there"), (seen, "none to train on")):
+        for name in names:
+            (captures / name).rename(tmp_path / name)
+        with pytest.raises(UsageError, match=message):
+            run_training(captures, run, recipe)
+        for name in names:
+            (tmp_path / name).rename(captures / name)
+
+
+def test_a_reopened_training_ends_no_worse(
+    captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The judge likes the first result and nothing that comes later."""
+    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+    answers = iter([0.5, 0.4, 0.2])
+
+    def judge(*args: object, **kwargs: object) -> Callable[[object], dict[str, float]]:
+        return lambda network: {DECISIVE: next(answers, 0.3)}
+
+    monkeypatch.setattr(telewide.train, "network_judge", judge)
+    run_training(captures, run, recipe)
+    result = load_file(run / "train" / "weights.safetensors")
+    add_capture(captures, tmp_path / "more")
+    outcome = run_training(captures, run, recipe)
+    assert outcome.is_new
+    assert outcome.best_stage == "feature-1"
+    again = load_file(run / "train" / "weights.safetensors")
+    assert all(torch.equal(again[name], result[name]) for name in result)
 
 
 def test_depth_takes_the_newest_checkpoint_while_training_goes_on(

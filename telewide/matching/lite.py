@@ -98,16 +98,17 @@ class _Hourglass(nn.Module):
             Conv3d(48, 48),
             nn.ReLU(inplace=True),
         )
-        self.lift2 = nn.Conv3d(48, 32, 1)
+        self.lift2 = Conv3d(48, 32, kernel=1)
         self.mix1 = nn.Sequential(Conv3d(32, 32), nn.ReLU(inplace=True))
-        self.lift1 = nn.Conv3d(32, channels, 1)
+        self.lift1 = Conv3d(32, channels, kernel=1)
         self.mix0 = nn.Sequential(Conv3d(channels, channels), nn.ReLU(inplace=True))
 
     def forward(self, x: Tensor) -> Tensor:
         half = self.down1(x)
         quarter = self.down2(half)
-        half = self.mix1(half + _resize_volume(self.lift2(quarter), half))
-        mixed: Tensor = self.mix0(x + _resize_volume(self.lift1(half), x))
+        # Added in place: a fresh volume takes longer to lay out than to fill.
+        half = self.mix1(_resize_volume(self.lift2(quarter), half).add_(half))
+        mixed: Tensor = self.mix0(_resize_volume(self.lift1(half), x).add_(x))
         return mixed
 
 
@@ -125,7 +126,7 @@ class LiteMatching(nn.Module):
             Conv3d(CORRELATION_GROUPS + 2 * THIN_CHANNELS, VOLUME_CHANNELS), nn.ReLU(inplace=True)
         )
         self.hourglass = _Hourglass(VOLUME_CHANNELS)
-        self.leave = nn.Conv3d(VOLUME_CHANNELS, 1, 1)
+        self.leave = Conv3d(VOLUME_CHANNELS, 1, kernel=1)
         # The mean correlation goes straight to the output: training starts at once instead of after a plateau.
         self.correlation_scale = nn.Parameter(torch.tensor(8.0))
         self.up_weights = nn.Sequential(

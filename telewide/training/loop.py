@@ -151,7 +151,7 @@ def _begin_stage(state: TrainingState, stage: Stage) -> None:
     state.network.load_state_dict(state.average.state_dict())
     state.optimiser = new_optimiser(state.network)
     state.teacher = frozen_extractor(state.average) if stage.needs_teacher else None
-    state.judgements, state.best = [], None
+    state.judgements = []
 
 
 def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> None:
@@ -162,8 +162,8 @@ def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter:
     saved_s = time.monotonic()
     state.network.train()
     with _stop_request() as is_stop_requested:
+        begun_s = time.monotonic()
         for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
-            begun_s = time.monotonic()
             losses = take_step(state, batch.to(training.device), stage, training=training)
             state.step += 1
             reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
@@ -178,6 +178,7 @@ def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter:
             if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
                 _save_underway(training, state, stage)
                 saved_s = time.monotonic()
+            begun_s = time.monotonic()  # the next step's time holds its wait for the batch
 
 
 def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> dict[str, float]:
@@ -317,7 +318,7 @@ def _end_stage(
         if is_worse:
             card = _return_to_best(training, state, plan, reporter, worse=stage)
     else:
-        state.stage_index, state.step = stage.index + 1, 0
+        state.stage_index, state.step, state.best = stage.index + 1, 0, None
     _save(training, state, card)
 
 

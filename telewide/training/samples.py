@@ -24,10 +24,12 @@ from telewide.simulate.scene import random_scene, render_pair
 FloatImage = NDArray[np.float32]
 FloatMap = NDArray[np.float32]
 
-LABELS_NAME = "labels.pfm"
 _TEXTURE_PHOTOS = 3
 _ZOOM = (0.75, 1.2)
 """Enlargement of a crop of a capture. Above 1 disparities grow, and the margin of the window has to hold them."""
+
+
+LABELS_PREFIX = "labels_"
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class SampleSource:
 
     Attributes:
         captures: corrected captures to draw from.
-        labels_folder: holds ``<name>/labels.pfm``, confident disparities of the captures, px; None for none.
+        labels_folder: holds each capture's confident disparities, px, named by :func:`labels_path`; None for none.
         crop_hw: size of the crops.
         window_px: disparities that the volume holds.
         asymmetry: range of the factor by which rehearsed views are damaged.
@@ -79,6 +81,11 @@ class SampleSource:
     area: CropArea = field(default_factory=CropArea)
     labels_folder: Path | None = None
     reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=768 << 20), compare=False)
+
+
+def labels_path(folder: Path, *, window_px: tuple[int, int]) -> Path:
+    """Where the confident disparities of a pair lie: a search of another window finds others."""
+    return folder / f"{LABELS_PREFIX}{window_px[0]}_{window_px[1]}.pfm"
 
 
 def generator_for(seed: int, *salt: int) -> np.random.Generator:
@@ -116,7 +123,11 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
     """
     capture = _choose(source.captures, rng)
     pair = source.reader.read(capture)
-    labels = None if source.labels_folder is None else _read_labels(source.labels_folder / capture.name / LABELS_NAME)
+    labels = (
+        None
+        if source.labels_folder is None
+        else _read_labels(labels_path(source.labels_folder / capture.name, window_px=source.window_px))
+    )
     box = _random_box(pair.tele.shape[:2], source, rng)
     ref, src = (_cut(view, box, source.crop_hw) for view in (pair.tele, pair.wide))
     truth_px = _cut_labels(labels, box, source.crop_hw)

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import torch
 from training.joint_step import joint_gradients, short_training
-from training.small import rendered, source_of, write_pairs
+from training.small import WINDOW, rendered, source_of, write_pairs
 
 from telewide.capture.images import write_pfm
 from telewide.simulate.captures import write_captures
 from telewide.training.processes import Processes, joined_processes
-from telewide.training.samples import LABELS_NAME
+from telewide.training.samples import labels_path
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed, capture in enumerate(write_pairs(folder)):
         truth_px = rendered(seed).disparity_px.copy()
         truth_px[::3] = np.nan
-        write_pfm(folder / capture.name / LABELS_NAME, truth_px)
+        write_pfm(labels_path(folder / capture.name, window_px=WINDOW), truth_px)
     return folder
 
 

@@ -15,7 +15,15 @@ from telewide.capture.images import write_image, write_pfm
 from telewide.capture.pair import Capture
 from telewide.training.data import StepBatches, iterate_batches
 from telewide.training.objective import Batch
-from telewide.training.samples import LABELS_NAME, CropArea, Sample, SampleSource, crop_capture, generator_for, rehearse
+from telewide.training.samples import (
+    CropArea,
+    Sample,
+    SampleSource,
+    crop_capture,
+    generator_for,
+    labels_path,
+    rehearse,
+)
 
 
 def is_equal(a: Batch, b: Batch) -> bool:
@@ -221,7 +229,7 @@ def test_labels_are_cut_and_scaled_with_the_crop(tmp_path: Path, captures: tuple
     for capture in captures:
         columns = np.broadcast_to(np.arange(144, dtype=np.float32), (96, 144)).copy()
         columns[:10] = np.nan
-        write_pfm(tmp_path / capture.name / LABELS_NAME, columns)
+        write_pfm(labels_path(tmp_path / capture.name, window_px=source_of(captures).window_px), columns)
     source = source_of(captures, labels=tmp_path)
     for index in range(8):
         truth = crop_capture(source, rng=generator_for(0, index), may_swap=False).truth_px

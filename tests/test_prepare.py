@@ -1,0 +1,72 @@
+"""Corrected pairs in the run folder: what is taken as it lies there, and what is made again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import telewide.prepare
+from telewide.capture.images import read_image, read_pfm
+from telewide.capture.pair import find_captures
+from telewide.capture.rundir import RunFolder
+from telewide.prepare import PreparedSet, prepare_captures, write_labels
+from telewide.recipe import load_recipe
+from telewide.simulate.captures import write_captures
+from telewide.training.samples import labels_path
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated") / "captures"
+    write_captures(folder, count=2, seed=1, hw=(128, 192), factor=2)
+    return folder
+
+
+def prepared(captures: Path, run: Path, *settings: str) -> PreparedSet:
+    recipe = load_recipe("quick", settings=settings)
+    return prepare_captures(find_captures(captures), RunFolder(run), recipe=recipe)
+
+
+def test_a_stopped_preparation_vouches_for_nothing(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Made with colour correction, begun again without, stopped; asked for with it again, it is not the other's."""
+    run, asked = tmp_path / "run", ("correction.colour=true", "correction.vertical=true")
+    wide_path = prepared(captures, run, *asked).pairs[0].capture.wide_path
+    expected = read_image(wide_path)
+
+    def stop(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(telewide.prepare, "fit_blur", stop)
+        with pytest.raises(KeyboardInterrupt):
+            prepared(captures, run, "correction.colour=false", "correction.vertical=false")
+    assert not np.array_equal(read_image(wide_path), expected), "the other kind was written before the stop"
+    prepared(captures, run, *asked)
+    assert np.array_equal(read_image(wide_path), expected)
+
+
+def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) -> None:
+    pairs = prepared(captures, tmp_path / "run")
+    folder = pairs.pairs[0].capture.tele_path.parent
+    for end_px in (8, 32):
+        write_labels(pairs, names=[pairs.pairs[0].capture.name], window=(0, end_px))
+    narrow_px, wide_px = (read_pfm(labels_path(folder, window_px=(0, end_px))) for end_px in (8, 32))
+    assert np.nanmax(narrow_px) <= 8
+    assert np.nanmax(wide_px) > 10
+
+
+def test_a_photo_that_cannot_be_read_leaves_the_others(captures: Path, tmp_path: Path) -> None:
+    found = find_captures(captures)
+    gone = found.captures[0].tele_path
+    kept = gone.read_bytes()
+    gone.unlink()
+    try:
+        pairs = prepare_captures(found, RunFolder(tmp_path / "run"), recipe=load_recipe("quick"))
+    finally:
+        gone.write_bytes(kept)
+    assert [item.capture.name for item in pairs.pairs] == [found.captures[1].name]
+    assert [problem.name for problem in pairs.problems] == [found.captures[0].name]
