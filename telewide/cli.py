@@ -174,10 +174,10 @@ def depth(
         rig=rig,
         distance=distance,
     )
-    from telewide.pipeline import depth_captures, recipe_of_run
+    from telewide.pipeline import depth_captures, recipe_of_depth
 
     with console_observer(is_quiet=quiet, shows_table=False) as observer:
-        recipe = recipe_of_run(run, captures)
+        recipe = recipe_of_depth(run, captures, weights=weights)
         done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
         _say_depth(done, observer)
     if as_json:

@@ -97,7 +97,7 @@ def matches(
     from telewide.benchmark.contenders import all_contenders, semiglobal_contender
     from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
     from telewide.capture.rundir import RunFolder
-    from telewide.pipeline import recipe_of_run
+    from telewide.pipeline import recipe_of_depth
 
     check_device(device)
     sources = run or []
@@ -111,7 +111,7 @@ def matches(
             captures,
             entrants,
             run=RunFolder(pairs_run),
-            recipe=recipe_of_run(pairs_run, captures),
+            recipe=recipe_of_depth(pairs_run, captures),
             tell=_tell,
             trained_runs=[RunFolder(folder) for folder in dict.fromkeys(folders)],
             rig=rig,

@@ -35,7 +35,7 @@ from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeomet
 from telewide.output.metric import DepthPrecision
 from telewide.page import report_row, write_page
 from telewide.prepare import PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
-from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
 from telewide.training.processes import Processes, joined_processes
 
 if TYPE_CHECKING:
@@ -171,12 +171,27 @@ def run_captures(
         return replace(done, report=_report(call, done)) if call.processes.is_writer else done
 
 
-def recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
-    """The recipe a run was trained with, so that its pairs are corrected alike; the default without one.
+def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | None = None) -> Recipe:
+    """The recipe to prepare pairs by: the run's, or the default without one, as the weights were taught to see them.
+
+    Args:
+        run: run folder, or None for the one that belongs to the captures.
+        captures_root: folder of the captures.
+        weights: a weights file; its size, window and correction of the pairs stand above the run's.
 
     Raises:
-        InputError: the run's record is damaged.
+        InputError: the run's record or the weights file is damaged.
     """
+    recipe = _recipe_of_run(run, captures_root)
+    if weights is None or not weights.is_file():
+        return recipe
+    from telewide.training.checkpoint import read_card
+
+    taught = parse_options(Recipe, read_card(weights).recipe, source=str(weights), error=InputError)
+    return recipe.model_copy(update={name: getattr(taught, name) for name in OF_THE_PAIRS})
+
+
+def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
     path = locate_run(run, captures_root).train / "training.json"
     if not path.is_file():
         return load_recipe(DEFAULT_RECIPE)

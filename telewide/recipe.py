@@ -50,6 +50,10 @@ class Recipe(Options):
         return window
 
 
+OF_THE_PAIRS = ("working_width_px", "window_px", "correction")
+"""What a network was taught to expect of the pairs it is shown."""
+
+
 def load_recipe(name: str, *, settings: Sequence[str] = (), seed: int | None = None) -> Recipe:
     """Read a recipe by name or path and apply ``key=value`` settings.
 

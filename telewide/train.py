@@ -132,11 +132,7 @@ def train_prepared(
     if state.is_finished:
         return _outcome(run, plan, state, is_new=False)
     if processes.is_writer:
-        # First that there is something left to do, then that the new captures are known.
-        if (run.train / STATE_NAME).is_file():
-            save_state(state, run.train / STATE_NAME)
-        _write_record(run, record)
-        _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
+        _note_what_is_taken_up(run, record, state)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
         names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
         tick = labelling(len(prepared.pairs))
@@ -167,6 +163,14 @@ def _take_up(
             _reopen(state)
         reporter.said(_where_it_stands(run, plan, state, grown=grown))
     return record, state
+
+
+def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: TrainingState) -> None:
+    """First that something is left to do, then that new captures are known: a stop in between loses neither."""
+    if (run.train / STATE_NAME).is_file():
+        save_state(state, run.train / STATE_NAME)
+    _write_record(run, record)
+    _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
 
 
 def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:

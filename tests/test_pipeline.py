@@ -20,12 +20,15 @@ from telewide.cli import main
 from telewide.correction.held_out import HeldOut
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.networks import build_network
 from telewide.metrics import three_pixel_error
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bokeh
 from telewide.output.capture_depth import DepthOutcome, depth_of_capture
 from telewide.output.kept import KeptDepth, read_kept, write_kept
-from telewide.pipeline import DepthOptions
+from telewide.pipeline import DepthOptions, recipe_of_depth
+from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
+from telewide.training.checkpoint import WeightsCard, save_weights
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}
 TINY = ("train.rehearsal.steps=2", "train.feature.steps=1", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
@@ -294,3 +297,18 @@ def written_ns(run: Path) -> dict[str, list[int]]:
 
 def test_facts_without_a_scale_invent_none() -> None:
     assert CaptureFacts().baseline_m is None
+
+
+def test_weights_come_with_the_pairs_they_were_taught_on(simulated: Path, tmp_path: Path) -> None:
+    """Size, window and correction of the pairs are those of the weights; nothing else of their recipe is taken."""
+    taught = load_recipe("quick", settings=["working_width_px=256", "correction.colour=false"], seed=7)
+    network = build_network(taught.network)
+    card = WeightsCard(taught.network, (-8, 32), taught.model_dump(mode="json"), {})
+    save_weights(network, tmp_path / "w.safetensors", card=card)
+    recipe = recipe_of_depth(tmp_path / "run", simulated, weights=tmp_path / "w.safetensors")
+    assert recipe.working_width_px == 256
+    assert not recipe.correction.colour
+    default = recipe_of_depth(tmp_path / "run", simulated)
+    assert recipe.seed == default.seed
+    assert recipe.train == default.train
+    assert default.working_width_px == 1536

@@ -28,7 +28,7 @@ from telewide.capture.images import read_image, read_pfm
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
 from telewide.observer import Observer
-from telewide.pipeline import DepthOptions, DepthRun, depth_captures, recipe_of_run
+from telewide.pipeline import DepthOptions, DepthRun, depth_captures, recipe_of_depth
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.simulate.phone import BOARD_SQUARE_M, write_phone
 
@@ -113,7 +113,7 @@ def depth_makers(sources: Sequence[Path]) -> list[DepthMaker]:
     makers = [DepthMaker(SGM, "sgm", None, load_recipe(DEFAULT_RECIPE))]
     for source, label in zip(sources, source_labels(sources), strict=True):
         weights = source if source.is_file() else _weights_of(source)
-        recipe = recipe_of_run(weights.absolute().parents[1], source)
+        recipe = recipe_of_depth(weights.absolute().parents[1], source, weights=weights)
         makers.append(DepthMaker(label, "network", weights, recipe))
         makers.append(DepthMaker(f"{label} + {SGM}", "joint", weights, recipe))
     return makers

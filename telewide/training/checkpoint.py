@@ -182,20 +182,32 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
     Raises:
         InputError: the file is missing, damaged, or holds something else.
     """
+    card = read_card(path)
+    try:
+        network = build_network(card.network)
+        network.load_state_dict(load_file(path))
+    except (OSError, SafetensorError, ValueError, RuntimeError) as error:
+        raise _no_weights(path) from error
+    return network.to(device).eval(), card
+
+
+def read_card(path: Path) -> WeightsCard:
+    """Read what a weights file says of itself.
+
+    Raises:
+        InputError: the file is missing, damaged, or holds something else.
+    """
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
         first, end = json.loads(metadata["window"])
-        card = WeightsCard(
-            metadata["network"],
-            (int(first), int(end)),
-            json.loads(metadata["recipe"]),
-            json.loads(metadata["training"]),
-        )
-        network = build_network(card.network)
-        network.load_state_dict(load_file(path))
-    except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
-        raise InputError(
-            f"{path} is no weights file of telewide, or is damaged", hint="make one with: telewide train captures/"
-        ) from error
-    return network.to(device).eval(), card
+        recipe, training = json.loads(metadata["recipe"]), json.loads(metadata["training"])
+        return WeightsCard(metadata["network"], (int(first), int(end)), recipe, training)
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise _no_weights(path) from error
+
+
+def _no_weights(path: Path) -> InputError:
+    return InputError(
+        f"{path} is no weights file of telewide, or is damaged", hint="make one with: telewide train captures/"
+    )
