@@ -19,13 +19,13 @@ class Conv3d(nn.Conv3d):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, c_in, D, H, W) to (B, c_out, D', H', W')."""
-        if not _may_leave_onednn(x):
+        if not _is_small_for_onednn(x):
             return super().forward(x)
         padding, stride, dilation = self._steps
         return torch.mkldnn_convolution(x, self.weight, self.bias, padding, stride, dilation, self.groups)
 
 
-def _may_leave_onednn(x: Tensor) -> bool:
+def _is_small_for_onednn(x: Tensor) -> bool:
     return (
         x.shape[0] == 1
         and x.device.type == "cpu"
