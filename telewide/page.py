@@ -16,13 +16,16 @@ from telewide.capture.rundir import RunFolder
 from telewide.command_line import command_line
 from telewide.geometry.stereo import DisparityMap
 from telewide.output.depth import DepthResult
+from telewide.output.drawing import upright
 from telewide.output.preview import disparity_panel, display_range_px
 from telewide.output.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.training.stages import plan_stages
 
 
-def report_row(pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[str, float]) -> ReportRow:
+def report_row(
+    pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[str, float], rotated_deg: int = 0
+) -> ReportRow:
     """The line of one capture: its photos, preview and bokeh, and its numbers.
 
     Args:
@@ -30,9 +33,11 @@ def report_row(pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[st
         folder: where its depth was written.
         root: folder of the report, which links lead from.
         numbers: as the pipeline gives them.
+        rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the bokeh is read.
     """
-    pictures = [thumbnail("wide", pair.wide), thumbnail("tele", pair.tele)]
-    pictures.append(_disparity_picture(folder, root))
+    views = (("wide", pair.wide), ("tele", pair.tele))
+    pictures = [thumbnail(label, upright(photo, rotated_deg=rotated_deg)) for label, photo in views]
+    pictures.append(_disparity_picture(folder, root, rotated_deg=rotated_deg))
     bokeh = folder / "bokeh.jpg"
     if bokeh.is_file():
         pictures.append(thumbnail("bokeh", read_image(bokeh), link=_link(bokeh, root)))
@@ -110,12 +115,13 @@ def _training_steps(recipe: Recipe) -> int:
     return sum(stage.options.steps for stage in plan_stages(recipe.train))
 
 
-def _disparity_picture(folder: Path, root: Path) -> Picture:
+def _disparity_picture(folder: Path, root: Path, *, rotated_deg: int) -> Picture:
     """The map alone, as large as the photos beside it; it leads to the preview with its scale."""
     with np.load(folder / "depth.npz", allow_pickle=False) as arrays:
         disparity = DisparityMap(arrays["disparity"], arrays["confidence"], arrays["valid"])
-    height, width = disparity.disparity_px.shape
-    panel = disparity_panel(DepthResult(name=folder.name, disparity=disparity), wh=(width, height))
+    height, width = upright(disparity.disparity_px, rotated_deg=rotated_deg).shape
+    result = DepthResult(name=folder.name, disparity=disparity, rotated_deg=rotated_deg)
+    panel = disparity_panel(result, wh=(width, height))
     low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)
     label = f"disparity, {round(low_px)} to {round(high_px)} px; hatched: filled in"
     return thumbnail(label, panel, link=_link(folder / "preview.png", root))

@@ -407,6 +407,7 @@ def _report(call: _Call, done: DepthRun) -> Path:
             done.folder / outcome.name,
             root=call.folder.root,
             numbers=outcome.numbers,
+            rotated_deg=0 if call.rig is not None else call.captures.facts.rotated_deg,  # a rig's photos are not turned
         )
         for outcome in done.outcomes
     )

@@ -5,11 +5,17 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from telewide.capture.images import write_image
+from telewide.capture.pair import PhotoPair
 from telewide.capture.rundir import RunFolder
 from telewide.cli import main
-from telewide.page import next_steps
+from telewide.geometry.stereo import DisparityMap
+from telewide.output.depth import DepthResult
+from telewide.output.export import write_depth
+from telewide.page import next_steps, report_row
 from telewide.recipe import Recipe, load_recipe
 
 RIG = Path("my rigs/phone.yaml")
@@ -46,3 +52,17 @@ def test_every_command_is_one_the_program_takes(
 def test_a_longer_training_is_advised_where_there_is_one() -> None:
     assert "run my captures" in commands(load_recipe("quick"), rig=None)
     assert "run my captures" not in commands(load_recipe("default", seed=5), rig=None)
+
+
+@pytest.mark.parametrize(("rotated_deg", "wh"), [(0, (80, 60)), (90, (60, 80))])
+def test_all_pictures_of_a_capture_stand_alike(
+    tmp_path: Path, rng: np.random.Generator, rotated_deg: int, wh: tuple[int, int]
+) -> None:
+    photo = rng.random((60, 80, 3)).astype(np.float32)
+    one = np.ones(photo.shape[:2], np.float32)
+    result = DepthResult("one", DisparityMap(one, one, one > 0), rotated_deg=rotated_deg)
+    write_depth(tmp_path / "one", result, image=photo)
+    write_image(tmp_path / "one" / "bokeh.jpg", photo, shown_turned_deg=rotated_deg)
+    pair = PhotoPair("one", photo, photo)
+    row = report_row(pair, tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=rotated_deg)
+    assert [picture.wh for picture in row.pictures] == [wh] * 4

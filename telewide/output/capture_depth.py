@@ -168,7 +168,7 @@ def _make(
         names.append("bokeh.jpg")
         focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
         picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
-        write_image(folder / names[-1], picture)
+        write_image(folder / names[-1], picture, shown_turned_deg=result.rotated_deg)
         focused = _focus_numbers(focus, result)
         notes = (*notes, focus_note(source.name, focus, depth_m=focused.get("focus_m"), options=bokeh))
     numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s} | focused

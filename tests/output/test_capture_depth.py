@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, ImageOps
 
-from telewide.capture.images import write_image
+from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts
 from telewide.correction.held_out import HeldOut
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
 from telewide.output.capture_depth import DepthOutcome, depth_of_capture, on_photo
+from telewide.output.drawing import upright
 
 HW = (60, 80)
 FACTS = CaptureFacts(rectified=True)
@@ -54,6 +56,20 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
     disparity = stepped(np.zeros(HW), np.zeros(HW))
     with pytest.raises(UsageError, match="--strength"):
         bokeh_picture(np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
+
+
+@pytest.mark.parametrize("rotated_deg", [0, 90, 180, 270])
+def test_viewers_turn_the_bokeh_as_the_preview_is_turned(capture: Capture, tmp_path: Path, rotated_deg: int) -> None:
+    y, x = np.mgrid[: HW[0], : HW[1]] / HW[1]
+    photo = np.stack([x, y, 0.5 + 0 * x], axis=-1).astype(np.float32)
+    write_image(capture.tele_path, photo)
+    facts = CaptureFacts(rectified=True, rotated_deg=rotated_deg)  # type: ignore[arg-type]
+    made(capture, tmp_path, bokeh=BokehOptions(strength_px=1.0), facts=facts)
+    with Image.open(tmp_path / "bokeh.jpg") as picture:
+        stored, shown = (np.asarray(view) / 255 for view in (picture, ImageOps.exif_transpose(picture)))
+    np.testing.assert_allclose(stored, photo, atol=0.06)
+    np.testing.assert_allclose(shown, upright(photo, rotated_deg=rotated_deg), atol=0.06)
+    np.testing.assert_allclose(read_image(tmp_path / "bokeh.jpg"), shown, atol=0.02)
 
 
 @pytest.mark.parametrize("width", [100, 201, 209])
