@@ -6,7 +6,7 @@ does. A distance is what a tape shows from the phone to the point, along the ray
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,12 +31,14 @@ class KnownDistance:
         y_px: row.
         distance_m: from the phone to the point.
         std_share: standard deviation of the distance over the distance.
+        is_focus: whether it is where EXIF says the lens was focused, not what somebody measured.
     """
 
     x_px: float
     y_px: float
     distance_m: float
     std_share: float = DISTANCE_STD_SHARE
+    is_focus: bool = False
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,15 @@ class DistancePin:
         doffs_px: ``cx_src - cx_ref`` that makes the point's depth true, px of the rectified views.
         correction_px: how far that is from what the rig said.
         std_px: standard deviation, from the distance's and the spread of disparity around the point.
+        seen_px: disparity of the point with the rig's own zero; 0 or less is beyond infinity.
+        seen_std_px: spread of disparity around the point.
     """
 
     doffs_px: float
     correction_px: float
     std_px: float
+    seen_px: float = float("nan")
+    seen_std_px: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ def focused_at(distance_m: float, *, hw: tuple[int, int]) -> KnownDistance:
         The point at the middle of the tele photo.
     """
     height, width = hw
-    return KnownDistance((width - 1) / 2, (height - 1) / 2, distance_m, FOCUS_STD_SHARE)
+    return KnownDistance((width - 1) / 2, (height - 1) / 2, distance_m, FOCUS_STD_SHARE, is_focus=True)
 
 
 def pin_distance(disparity_px: FloatMap, known: KnownDistance, *, geometry: RectifiedGeometry) -> DistancePin:
@@ -126,7 +132,7 @@ def pin_distance(disparity_px: FloatMap, known: KnownDistance, *, geometry: Rect
     wanted_px = geometry.f_px * geometry.rig.baseline_m * length / known.distance_m
     std_px = float(np.hypot(spread_px, wanted_px * known.std_share))
     doffs_px = wanted_px - d_px
-    return DistancePin(doffs_px, doffs_px - geometry.doffs_px, std_px)
+    return DistancePin(doffs_px, doffs_px - geometry.doffs_px, std_px, d_px + geometry.doffs_px, spread_px)
 
 
 def weigh_pin(pin: DistancePin, *, geometry: RectifiedGeometry, lens_shift_std_px: float) -> DistancePin:
@@ -145,7 +151,7 @@ def weigh_pin(pin: DistancePin, *, geometry: RectifiedGeometry, lens_shift_std_p
     rig_px2, pin_px2 = lens_shift_std_px**2, pin.std_px**2
     correction_px = pin.correction_px * rig_px2 / (rig_px2 + pin_px2)
     std_px = float(np.sqrt(rig_px2 * pin_px2 / (rig_px2 + pin_px2)))
-    return DistancePin(geometry.doffs_px + correction_px, correction_px, std_px)
+    return replace(pin, doffs_px=geometry.doffs_px + correction_px, correction_px=correction_px, std_px=std_px)
 
 
 def pin_scale(

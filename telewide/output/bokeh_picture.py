@@ -17,6 +17,7 @@ from telewide.output.bokeh import (
     render_bokeh,
 )
 from telewide.output.focus import FOCUS_WORDS, Focus, find_focus, named_point
+from telewide.output.metric_notes import away_words
 
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
@@ -86,7 +87,9 @@ def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None) -> str | No
     return "--f-number needs the distance of the two lenses, not known for this shot; --strength gives the blur in px"
 
 
-def focus_note(name: str, focus: Focus, *, depth_m: float | None, options: BokehOptions) -> str:
+def focus_note(
+    name: str, focus: Focus, *, depth_m: float | None, options: BokehOptions, std_m: float | None = None
+) -> str:
     """Say what a bokeh picture is focused on, so that its owner can choose another place.
 
     Args:
@@ -94,8 +97,9 @@ def focus_note(name: str, focus: Focus, *, depth_m: float | None, options: Bokeh
         focus: what was found.
         depth_m: distance of that place, m; None where it is not known.
         options: what was asked for.
+        std_m: standard deviation of the distance, m; None likewise.
     """
-    distance = "" if depth_m is None else f", {depth_m:.2f} m away"
+    distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
     word = options.focus.strip().lower()
     ways = {
         "auto": "the nearest large surface in the middle; --focus X,Y, near or far chooses another",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -19,7 +19,7 @@ from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, rea
 from telewide.capture.rundir import fingerprint
 from telewide.correction.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.correction.moving import MovedRegion, moving_mask
-from telewide.correction.pin import KnownDistance, pin_distance, pin_scale, weigh_pin
+from telewide.correction.pin import KnownDistance
 from telewide.correction.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError
 from telewide.geometry.rectification import RectifiedGeometry
@@ -32,6 +32,7 @@ from telewide.output.export import write_depth
 from telewide.output.focus import Focus, find_focus
 from telewide.output.kept import KEPT_NAME, KeptDepth, read_kept, write_kept
 from telewide.output.metric import DepthPrecision
+from telewide.output.metric_notes import hardly_known_notes, pinned_shot
 
 Match = Callable[[FloatMap, FloatMap], DisparityMap]
 
@@ -151,14 +152,15 @@ def _make(
     photo = read_image(source.tele_path)
     if shot is None:
         result = depth_result(source.name, on_photo(working, photo), facts=facts)
+        metric_notes: tuple[str, ...] = ()
     else:
-        result = _result_of_shot(source.name, working, photo, shot=shot)
+        result, metric_notes = _result_of_shot(source.name, working, photo, shot=shot)
     before = fingerprint(folder / "disparity.pfm") if (folder / "disparity.pfm").is_file() else None
     written = write_depth(folder, result, image=photo)
     if before != fingerprint(folder / "disparity.pfm"):
         (folder / "bokeh.jpg").unlink(missing_ok=True)  # of another depth
     names = [path.name for path in written.paths]
-    notes = written.notes
+    notes = (*written.notes, *metric_notes)
     focused: dict[str, float] = {}
     refusal = None if bokeh is None else why_no_bokeh(bokeh, baseline_m=result.baseline_m)
     if refusal is not None:
@@ -170,38 +172,36 @@ def _make(
         picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
         write_image(folder / names[-1], picture, shown_turned_deg=result.rotated_deg)
         focused = _focus_numbers(focus, result)
-        notes = (*notes, focus_note(source.name, focus, depth_m=focused.get("focus_m"), options=bokeh))
+        depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")
+        notes = (*notes, focus_note(source.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh))
     numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s} | focused
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     return KeptDepth(tuple(names), notes, numbers | _errors_of_truth(source, result.disparity.disparity_px))
 
 
-def _result_of_shot(name: str, working: DisparityMap, photo: FloatMap, *, shot: ShotGeometry) -> DepthResult:
-    """Bring a map of the rectified view to the tele photo as it was taken, and into metres."""
-    geometry, precision = shot.geometry, shot.precision
-    if shot.known is not None and geometry.rig.is_scale_known:
-        alone = pin_distance(working.disparity_px, shot.known, geometry=geometry)
-        pin = weigh_pin(alone, geometry=geometry, lens_shift_std_px=precision.lens_shift_std_px * geometry.scale)
-        geometry = replace(geometry, doffs_px=pin.doffs_px)
-        precision = replace(precision, lens_shift_std_px=pin.std_px / geometry.scale)
-    elif shot.known is not None:
-        shift_px = precision.lens_shift_std_px * geometry.scale
-        scale = pin_scale(working.disparity_px, shot.known, geometry=geometry, lens_shift_std_px=shift_px)
-        geometry = replace(geometry, rig=geometry.rig.with_baseline(scale.baseline_m))
-        precision = replace(precision, baseline_std_m=scale.std_m)
+def _result_of_shot(
+    name: str, working: DisparityMap, photo: FloatMap, *, shot: ShotGeometry
+) -> tuple[DepthResult, tuple[str, ...]]:
+    """Bring a map of the rectified view to the tele photo as it was taken, and into metres; what to know of those."""
+    pinned = pinned_shot(name, working.disparity_px, shot.known, geometry=shot.geometry, precision=shot.precision)
+    geometry = pinned.geometry
     on_tele = disparity_on_tele(working, geometry=geometry)
     moved = moving_mask(shot.moved, hw=photo.shape[:2])
     confidence = np.where(moved, np.float32(0), on_tele.confidence)
     followed_px = follow_edges(on_tele.disparity_px, photo, confidence=confidence, valid=on_tele.valid & ~moved)
     disparity = DisparityMap(followed_px, confidence, on_tele.valid & ~moved)
-    return depth_result_of_rig(name, disparity, rig=geometry.rig, precision=precision, matched_scale=geometry.scale)
+    result = depth_result_of_rig(
+        name, disparity, rig=geometry.rig, precision=pinned.precision, matched_scale=geometry.scale
+    )
+    return result, (*pinned.notes, *hardly_known_notes(result))
 
 
 def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
     """What the bokeh is focused on, in numbers; metres only where they are known."""
     numbers = {"focus_px": focus.disparity_px, "focus_x_px": float(focus.x_px), "focus_y_px": float(focus.y_px)}
-    depth_m = math.nan if result.depth_m is None else float(result.depth_m[focus.y_px, focus.x_px])
-    return numbers | ({"focus_m": depth_m} if math.isfinite(depth_m) else {})
+    maps = {"focus_m": result.depth_m, "focus_std_m": result.depth_std_m}
+    metres = {name: float(m[focus.y_px, focus.x_px]) for name, m in maps.items() if m is not None}
+    return numbers | {name: value for name, value in metres.items() if math.isfinite(value)}
 
 
 def _errors_of_truth(source: Capture, disparity_px: FloatMap) -> dict[str, float]:

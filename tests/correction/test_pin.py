@@ -58,7 +58,7 @@ def test_a_known_distance_brings_back_the_scale() -> None:
 
 def test_the_middle_of_the_photo_is_in_focus() -> None:
     geometry, _ = geometry_and_disparity(phone_rig(), known=KnownDistance(800.0, 600.0, 1.0))
-    assert focused_at(0.7, hw=geometry.rig.tele.hw) == KnownDistance(799.5, 599.5, 0.7, 0.1)
+    assert focused_at(0.7, hw=geometry.rig.tele.hw) == KnownDistance(799.5, 599.5, 0.7, 0.1, is_focus=True)
 
 
 @pytest.mark.parametrize(("shift_std_px", "decides"), [(1e3, "pin"), (1e-3, "rig")])

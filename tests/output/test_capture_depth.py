@@ -7,15 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageOps
+from rig_worlds import phone_rig
 
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts
 from telewide.correction.held_out import HeldOut
+from telewide.correction.pin import KnownDistance
 from telewide.errors import UsageError
+from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
-from telewide.output.capture_depth import DepthOutcome, depth_of_capture, on_photo
+from telewide.output.capture_depth import DepthOutcome, ShotGeometry, depth_of_capture, on_photo
 from telewide.output.drawing import upright
+from telewide.output.metric import DepthPrecision
 
 HW = (60, 80)
 FACTS = CaptureFacts(rectified=True)
@@ -70,6 +74,35 @@ def test_viewers_turn_the_bokeh_as_the_preview_is_turned(capture: Capture, tmp_p
     np.testing.assert_allclose(stored, photo, atol=0.06)
     np.testing.assert_allclose(shown, upright(photo, rotated_deg=rotated_deg), atol=0.06)
     np.testing.assert_allclose(read_image(tmp_path / "bokeh.jpg"), shown, atol=0.02)
+
+
+def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Capture, tmp_path: Path) -> None:
+    geometry = rectified_geometry(phone_rig(width_px=HW[1]))
+    seen_px = np.full(geometry.hw, 5.0, np.float32)
+    seen = DisparityMap(seen_px, np.ones_like(seen_px), seen_px > 0)
+
+    def notes(known: KnownDistance | None) -> str:
+        outcome = depth_of_capture(
+            capture,
+            HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
+            tmp_path,
+            facts=CaptureFacts(),
+            match=lambda _ref, _src: seen,
+            bokeh=BokehOptions(focus="40,30"),
+            key={"known": known is not None},
+            shot=ShotGeometry(geometry, DepthPrecision(lens_shift_std_px=4.0), known=known),
+        )
+        assert isinstance(outcome, DepthOutcome)
+        assert outcome.numbers["focus_std_m"] > 0
+        return "\n".join(outcome.notes)
+
+    unsure = notes(None)
+    assert "depth in metres is hardly known" in unsure
+    assert "at a distance the rig hardly knows" in unsure
+    pinned = notes(KnownDistance(40.0, 30.0, 0.79))
+    assert "taken to be 0.79 m away" in pinned
+    assert ", 0.79 ± 0.0" in pinned
+    assert "hardly" not in pinned
 
 
 @pytest.mark.parametrize("width", [100, 201, 209])

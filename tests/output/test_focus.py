@@ -135,3 +135,18 @@ def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() ->
     pointed = focus_note("000", Focus(12.34, 80, 60), depth_m=None, options=BokehOptions(focus="80,60"))
     assert " m away" not in pointed
     assert "--focus" not in pointed
+
+
+@pytest.mark.parametrize(
+    ("std_m", "told"),
+    [
+        (None, ", 0.30 m away"),
+        (0.012, ", 0.30 ± 0.012 m away"),
+        (0.14, ", 0.30 ± 0.14 m away"),
+        (0.19, ", at a distance the rig hardly knows; --distance X,Y,M would tell"),
+        (float("nan"), ", at a distance the rig hardly knows; --distance X,Y,M would tell"),
+    ],
+)
+def test_how_sure_a_distance_is_stands_beside_it(std_m: float | None, told: str) -> None:
+    note = focus_note("000", Focus(12.34, 80, 60), depth_m=0.3, std_m=std_m, options=BokehOptions())
+    assert note.startswith(f"000: bokeh is focused on x 80, y 60{told}, disparity 12.3 px")
