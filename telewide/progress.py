@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _LINE_EVERY_S = 15.0
 """Where there is no terminal, a training says so often how far it is."""
 _LOSS_MEMORY = 0.97
+_VERDICT_WORDS = {"usable": "warning"}  # beside "good", usable reads as an all-clear
 
 
 @dataclass
@@ -70,7 +71,7 @@ class ConsoleObserver:
             self.console.print(captures_table([pair.report for pair in prepared.pairs]))
         for pair in prepared.pairs:
             for reason in pair.report.reasons:
-                self.said(f"{pair.report.verdict}: {pair.report.name}: {reason}")
+                self.warned(f"warning: {pair.report.name}: {reason}")
         self._warn(prepared.problems)
         if self.shows_table and not self.is_quiet:  # what was left out is known by now, should no window be found
             self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
@@ -183,7 +184,7 @@ def captures_table(reports: Sequence[PairReport]) -> Table:
     for heading in ("matches", "vertical px", "asymmetry", "tele/wide R G B", "disparity px"):
         table.add_column(heading, justify="right")
     table.add_column("verdict")
-    colours = {"good": "green", "usable": "cyan", "doubtful": "yellow", "refused": "red"}
+    colours = {"good": "green", "usable": "yellow", "doubtful": "magenta", "refused": "red"}
     for report in reports:
         table.add_row(
             escape(report.name),
@@ -192,7 +193,7 @@ def captures_table(reports: Sequence[PairReport]) -> Table:
             "-" if report.asymmetry is None else f"{report.asymmetry:.1f}",
             " ".join(_number(ratio, ".2f") for ratio in report.colour_ratio),
             f"{_number(report.disparity_p02_px, '.0f')} to {_number(report.disparity_p98_px, '.0f')}",
-            f"[{colours[report.verdict]}]{report.verdict}[/]",
+            f"[{colours[report.verdict]}]{_VERDICT_WORDS.get(report.verdict, report.verdict)}[/]",
         )
     return table
 

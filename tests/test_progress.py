@@ -4,16 +4,42 @@ from __future__ import annotations
 
 import io
 import math
+from pathlib import Path
 
+import numpy as np
+import pytest
 from rich.console import Console
 
-from telewide.correction.inspect import PairReport
-from telewide.progress import captures_table
+from telewide.capture.pair import Capture, CaptureFacts
+from telewide.correction.held_out import HeldOut
+from telewide.correction.inspect import PairReport, Verdict
+from telewide.prepare import PreparedPair, PreparedSet
+from telewide.progress import ConsoleObserver, captures_table
+
+NAN = math.nan
+
+
+def report_of(name: str, verdict: Verdict, *reasons: str) -> PairReport:
+    return PairReport(name, 9, NAN, NAN, NAN, None, (NAN, NAN, NAN), NAN, NAN, verdict, reasons)
+
+
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_a_doubt_about_a_capture_is_a_warning_and_never_kept_back(tmp_path: Path, *, is_quiet: bool) -> None:
+    capture = Capture("000", tmp_path, tmp_path)
+    report = report_of("000", "usable", "its matches lie 1.20 px off their rows")
+    pair = PreparedPair(capture, capture, report, 1.0, HeldOut(capture, np.zeros((0, 2)), np.zeros(0)))
+    console = Console(file=io.StringIO(), width=200)
+    prepared = PreparedSet((pair,), CaptureFacts(rectified=True), (0, 32), ())
+    ConsoleObserver(console, is_quiet=is_quiet).set_prepared(prepared)
+    assert isinstance(console.file, io.StringIO)
+    told = console.file.getvalue()
+    assert "warning: 000: its matches lie 1.20 px off their rows\n" in told
+    assert "usable" not in told
+    assert is_quiet == (len(told.splitlines()) == 1)
 
 
 def test_the_table_names_captures_as_they_are_called() -> None:
-    nan = math.nan
-    report = PairReport("beach[red]", 9, nan, nan, nan, None, (nan, nan, nan), nan, nan, "doubtful", ())
+    report = report_of("beach[red]", "doubtful")
     told = Console(file=io.StringIO(), width=200)
     told.print(captures_table([report]))
     assert isinstance(told.file, io.StringIO)

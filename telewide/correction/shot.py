@@ -43,7 +43,6 @@ _WORTH_A_POSE = 0.85
 _AGREES_PX = 1.5
 _MIN_AGREEING_SHARE = 0.3
 _NOT_AT_ONCE = "the two photos were not taken at once: wide's pose is this shot's own, and depth is relative"
-_LEFT_OVER = "this shot's correction leaves more than it should: the rig does not fit these photos, or the scene moved"
 
 
 def _no_turn() -> FloatArray:
@@ -215,8 +214,9 @@ def _pose(
         return posed
     if is_late:
         return replace(small, is_at_once=False, notes=(_NOT_AT_ONCE, *(() if pose.is_usable else pose.notes)))
-    is_much = _is_much(_median_misfit_px(held_out, rig, small), rig)
-    return replace(small, notes=(_LEFT_OVER, *(() if pose.is_usable else pose.notes)) if is_much else ())
+    misfit_px = _median_misfit_px(held_out, rig, small)
+    doubts = (_left_over_note(misfit_px, rig), *(() if pose.is_usable else pose.notes))
+    return replace(small, notes=doubts if _is_much(misfit_px, rig) else ())
 
 
 def _rig_kept(n: int, *, is_at_once: bool) -> ShotRefinement:
@@ -237,7 +237,19 @@ def _median_misfit_px(matches: Matches, rig: StereoRig, refinement: ShotRefineme
 
 
 def _is_much(median_misfit_px: float, rig: StereoRig) -> bool:
-    return median_misfit_px > LARGEST_RESIDUAL_PX * matching_unit_px(rig.tele.hw)
+    return median_misfit_px > _largest_misfit_px(rig)
+
+
+def _largest_misfit_px(rig: StereoRig) -> float:
+    return LARGEST_RESIDUAL_PX * matching_unit_px(rig.tele.hw)
+
+
+def _left_over_note(median_misfit_px: float, rig: StereoRig) -> str:
+    return (
+        f"its matches lie {median_misfit_px:.2f} px off their rows (median, tele px) where at most "
+        f"{_largest_misfit_px(rig):.2f} px are expected: trust its depth less. Something moved between the two photos: "
+        "take them again, holding still; or, where many captures say so, the rig is of other lenses: calibrate again"
+    )
 
 
 def _n_agreeing(matches: Matches, rig: StereoRig, refinement: ShotRefinement) -> int:

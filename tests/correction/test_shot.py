@@ -124,6 +124,15 @@ def test_shots_apart_in_time_have_no_scale(rng: np.random.Generator) -> None:
     assert fit_shot(measured(seen_points(rig, rng), rng), rig=rig, seconds_between=0.02).is_at_once
 
 
+def test_what_a_correction_leaves_is_told_with_what_was_expected_and_what_to_do(rng: np.random.Generator) -> None:
+    rig = phone_rig()
+    left = fit_shot(measured(seen_points(rig, rng), rng, noise_px=1.0), rig=rig)
+    assert left.is_fitted
+    assert left.is_at_once
+    for words in (f"{left.residual_after_px:.2f} px off", "at most 0.50 px", "take them again", "calibrate again"):
+        assert words in left.notes[0]
+
+
 def test_large_photos_keep_their_scale_where_small_ones_do(rng: np.random.Generator) -> None:
     for width_px in (1600, 4000):
         rig = phone_rig(width_px=width_px)
