@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -192,8 +192,8 @@ def _prepare_pair(
     focal_lengths_mm = (focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path))
     stated = facts if alignment is None else dataclasses.replace(facts, rectified=True)
     report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
-    if alignment is not None and alignment.notes and report.verdict == "good":
-        report = dataclasses.replace(report, verdict="usable", reasons=(*report.reasons, *alignment.notes))
+    if alignment is not None:
+        report = with_doubts(report, alignment.notes)
     corrected = correct_pair(
         pair,
         matches=matches,
@@ -224,6 +224,12 @@ def _prepare_pair(
     if kept is None:
         raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
     return kept
+
+
+def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
+    """Add sentences to the reasons of a report, whatever its verdict; a good one is then usable."""
+    verdict = "usable" if doubts and report.verdict == "good" else report.verdict
+    return dataclasses.replace(report, verdict=verdict, reasons=(*report.reasons, *doubts))
 
 
 def _rectified(

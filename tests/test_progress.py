@@ -13,7 +13,7 @@ from rich.console import Console
 from telewide.capture.pair import Capture, CaptureFacts
 from telewide.correction.held_out import HeldOut
 from telewide.correction.inspect import PairReport, Verdict
-from telewide.prepare import PreparedPair, PreparedSet
+from telewide.prepare import PreparedPair, PreparedSet, with_doubts
 from telewide.progress import ConsoleObserver, captures_table
 
 NAN = math.nan
@@ -36,6 +36,14 @@ def test_a_doubt_about_a_capture_is_a_warning_and_never_kept_back(tmp_path: Path
     assert "warning: 000: its matches lie 1.20 px off their rows\n" in told
     assert "usable" not in told
     assert is_quiet == (len(told.splitlines()) == 1)
+
+
+@pytest.mark.parametrize(("before", "after"), [("good", "usable"), ("usable", "usable"), ("doubtful", "doubtful")])
+def test_doubts_of_the_shot_stand_beside_those_of_the_pair(before: Verdict, after: Verdict) -> None:
+    own = () if before == "good" else ("few matches",)
+    report = with_doubts(report_of("000", before, *own), ("the rig is kept",))
+    assert (report.verdict, report.reasons) == (after, (*own, "the rig is kept"))
+    assert with_doubts(report_of("000", before, *own), ()) == report_of("000", before, *own)
 
 
 def test_the_table_names_captures_as_they_are_called() -> None:
