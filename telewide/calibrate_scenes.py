@@ -144,7 +144,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
         source="scenes",
         notes=evidence.whole.notes,
     )
-    stored = _stored(evidence.whole, quality=judge_scenes(evidence, focal=focal), facts=facts)
+    stored = _stored(evidence.whole, quality=judge_scenes(evidence), facts=facts)
     write_stored_rig(options.out, stored)
     report = _write_report(captures, matched, evidence, stored=stored, options=options)
     return SceneRun(stored, options.out, report, (*evidence.whole.notes, *problems, *matched.notes))

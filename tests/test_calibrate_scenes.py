@@ -191,3 +191,15 @@ def test_a_stated_baseline_and_too_few_captures_to_check_by(
     assert std is not None
     assert std.baseline_m == pytest.approx(0.0005)
     assert "12.00 &plusmn; 0.50 mm" in (tmp_path / "few_report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_matches_that_contradict_exif_are_no_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The truth is 1611 px, which EXIF's 80 mm miss by 1 %; six rooms without much depth want far less.
+    monkeypatch.chdir(tmp_path)
+    captures = Path(__file__).parents[1] / "examples" / "phone" / "captures"
+    assert run_cli("calibrate", str(captures), "--from-scenes", "--json") == 4
+    assert "Matches want a tele focal length" in json.loads(capsys.readouterr().out)["hint"]
+    assert "matches hardly show it" not in (tmp_path / "rig_report.html").read_text(encoding="utf-8")

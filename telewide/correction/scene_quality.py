@@ -17,7 +17,7 @@ from telewide.calibration.quality import SHARE, CalibrationQuality, Check, Statu
 from telewide.calibration.validation import difference_px
 from telewide.correction.epipolar import vertical_misfit_px
 from telewide.correction.matches import Matches
-from telewide.correction.scene_rig import FocalPrior, SceneRig, SideSource
+from telewide.correction.scene_rig import CONTRADICTIONS, SceneRig, SideSource
 from telewide.correction.scenes import MIN_SCENES
 from telewide.correction.shot import fit_shot, refined_rig
 from telewide.geometry.rectification import rectifying_rotation
@@ -36,9 +36,9 @@ _MISMATCH_WIDE_PX = 3.0
 # Limits: (passes, fails), as of the checks of a board.
 _SCENES = (8, MIN_SCENES)
 _F_STD = (0.02, 0.1)
-_F_DEVIATION = (0.1, 0.3)
 _ERROR_WIDE_PX = (0.75, 2.5)
 _ZERO_PX = (1.0, math.inf)
+_DEVIATIONS = "standard deviations"
 _BASELINE_STD = (0.01, 0.2)
 _SIDE_CHECKS: dict[SideSource, tuple[Status, str]] = {
     "guessed": (
@@ -90,14 +90,13 @@ def is_match(errors_px: FloatArray, *, rig: StereoRig) -> NDArray[np.bool_]:
     return np.asarray(errors_px < _MISMATCH_WIDE_PX * max(rig.asymmetry, 1.0))
 
 
-def judge_scenes(evidence: SceneEvidence, *, focal: FocalPrior) -> CalibrationQuality:
+def judge_scenes(evidence: SceneEvidence) -> CalibrationQuality:
     """Judge a rig from scenes.
 
     Where nothing could be held out the rig is insufficient, however well it explains what it was fitted to.
 
     Args:
         evidence: what it is judged by.
-        focal: what was known of the focal lengths before.
 
     Returns:
         Its figures, checks and verdict; NaN for what could not be found out.
@@ -107,7 +106,7 @@ def judge_scenes(evidence: SceneEvidence, *, focal: FocalPrior) -> CalibrationQu
     cross_px = math.nan if evidence.halves is None else _cross_px(evidence.halves)
     checks = (
         *_capture_checks(evidence, p90_px=float(p90), cross_px=cross_px),
-        *_focal_checks(evidence.whole, focal=focal),
+        *_focal_checks(evidence.whole),
         *_unseen_checks(evidence.whole),
     )
     return CalibrationQuality(
@@ -172,7 +171,7 @@ def _capture_checks(evidence: SceneEvidence, *, p90_px: float, cross_px: float) 
     yield at_most("difference of rigs from half the captures", cross_px, limits_px, advice=advice, unit="tele px")
 
 
-def _focal_checks(whole: SceneRig, *, focal: FocalPrior) -> Iterator[Check]:
+def _focal_checks(whole: SceneRig) -> Iterator[Check]:
     yield at_most(
         "tele focal length, standard deviation",
         whole.std.tele_f_share,
@@ -180,14 +179,23 @@ def _focal_checks(whole: SceneRig, *, focal: FocalPrior) -> Iterator[Check]:
         advice="Focal lengths are only as good as EXIF's, or as stated: photograph a board.",
         unit=SHARE,
     )
-    advice = (
-        f"Matches want a tele focal length of {whole.rig.tele.f_px:.0f} px, EXIF or --f35 says {focal.tele_f_px:.0f}: "
-        "they contradict each other; photograph a board."
-    )
-    deviation = abs(whole.rig.tele.f_px / focal.tele_f_px - 1)
-    yield at_most("tele focal length against EXIF", deviation, _F_DEVIATION, advice=advice, unit=SHARE)
+    focal, rig = whole.focal, whole.rig
+    off = whole.tele_f_contradiction
+    advice = _contradiction_advice("tele focal length", f"{rig.tele.f_px:.0f} px", f"{focal.tele_f_px:.0f} px", off)
+    yield at_most("tele focal length against EXIF", off, CONTRADICTIONS, advice=advice, unit=_DEVIATIONS)
+    off, stated = whole.ratio_contradiction, focal.tele_f_px / focal.wide_f_px
+    advice = _contradiction_advice("ratio of the focal lengths", f"{rig.asymmetry:.3f}", f"{stated:.3f}", off)
+    yield at_most("f_tele / f_wide against EXIF", off, CONTRADICTIONS, advice=advice, unit=_DEVIATIONS)
     advice = "Take more captures with texture all over the tele photo."
     yield at_most("f_tele / f_wide, standard deviation", whole.std.ratio_share, _F_STD, advice=advice, unit=SHARE)
+
+
+def _contradiction_advice(name: str, by_matches: str, stated: str, n_deviations: float) -> str:
+    return (
+        f"Matches want a {name} of {by_matches}, EXIF or --f35 says {stated}: {n_deviations:.1f} standard deviations "
+        "apart, and matches of few scenes or of little depth are the likelier ones to be wrong. Take more captures "
+        "with near and far things all over the tele photo, or photograph a board."
+    )
 
 
 def _unseen_checks(whole: SceneRig) -> Iterator[Check]:

@@ -6,6 +6,7 @@ frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -21,6 +22,8 @@ SideSource = Literal["seen", "stated", "guessed", "contradicted"]
 """Contradicted: stated, and the matches show the opposite."""
 
 SIDES: tuple[Side, ...] = get_args(Side)
+CONTRADICTIONS = (1.0, 2.5)
+"""Standard deviations from which on matches show a focal length that EXIF does not, and above which one is wrong."""
 DIRECTIONS: dict[Side, tuple[float, float]] = {"right": (1, 0), "left": (-1, 0), "below": (0, 1), "above": (0, -1)}
 """Unit vectors of the photo, x right, y down."""
 _STATED_BASELINE_STD_M = 0.0005
@@ -31,6 +34,10 @@ _STATED_BASELINE_STD_SHARE = 0.01
 class FocalPrior:
     """What is known of the focal lengths before any match is looked at.
 
+    35 mm equivalents are whole millimetres, which is 1 % of a wide lens and a third of that of a tele; some makers take
+    them by the photo's width and not its diagonal, and lenses differ. A wider prior lets a few captures with little
+    depth bend the focal lengths by tens of per cent.
+
     Attributes:
         tele_f_px: of tele, px of its photos.
         wide_f_px: of wide, px of its photos.
@@ -40,8 +47,8 @@ class FocalPrior:
 
     tele_f_px: float
     wide_f_px: float
-    tele_std_share: float = 0.05
-    ratio_std_share: float = 0.05
+    tele_std_share: float = 0.02
+    ratio_std_share: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class SceneStd:
     """Standard deviations of a rig from scenes.
 
     Attributes:
-        tele_f_share: of tele's focal length, over its value; that of EXIF, as matches do not show it.
+        tele_f_share: of tele's focal length, over its value; nearly that of EXIF, as matches hardly show it.
         ratio_share: of the ratio of the focal lengths, over its value.
         wide_centre_px: (2,) of wide's principal point, px of its photos.
         rotation_rad: (3,) of wide's rotation.
@@ -80,6 +87,7 @@ class SceneRig:
         std: how sure it is.
         n_scenes: captures that had a say.
         side_source: how the side is known on which wide stands.
+        focal: what was known of the focal lengths before.
         notes: what a person should know.
     """
 
@@ -87,12 +95,25 @@ class SceneRig:
     std: SceneStd
     n_scenes: int
     side_source: SideSource
+    focal: FocalPrior
     notes: tuple[str, ...] = ()
 
     @property
     def wide_side(self) -> Side:
         """The side of tele on which the rig has wide, the nearest of the four."""
         return max(SIDES, key=lambda side: float(wide_centre(self.rig)[:2] @ DIRECTIONS[side]))
+
+    @property
+    def tele_f_contradiction(self) -> float:
+        """How far tele's focal length lies from what was known before, in standard deviations of both together."""
+        moved = math.log(self.rig.tele.f_px / self.focal.tele_f_px)
+        return abs(moved) / math.hypot(self.focal.tele_std_share, self.std.tele_f_share)
+
+    @property
+    def ratio_contradiction(self) -> float:
+        """Likewise of ``tele_f / wide_f``."""
+        moved = math.log(self.rig.asymmetry * self.focal.wide_f_px / self.focal.tele_f_px)
+        return abs(moved) / math.hypot(self.focal.ratio_std_share, self.std.ratio_share)
 
 
 def stated_baseline_std_m(baseline_m: float) -> float:

@@ -241,7 +241,7 @@ def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wid
         zero_px=float(np.hypot(zero_px, shift_px)),
         baseline_m=0.0 if baseline_m is None else stated_baseline_std_m(baseline_m),
     )
-    found = SceneRig(rig, std, scenes.n, side_source)
+    found = SceneRig(rig, std, scenes.n, side_source, scenes.focal)
     return replace(found, notes=tuple(scene_notes(found)))
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from telewide.calibration.quality import CalibrationQuality
 from telewide.capture.rundir import write_text
 from telewide.correction.matches import Matches
-from telewide.correction.scene_rig import SceneRig, SideSource
+from telewide.correction.scene_rig import CONTRADICTIONS, SceneRig, SideSource
 from telewide.geometry.stereo import FloatMap
 from telewide.output.charts import CHART_STYLE, Bar, bar_list, coverage_chart
 from telewide.output.report import (
@@ -145,7 +145,7 @@ def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
     rig, std = found.rig, found.std
     wide_share = math.hypot(std.tele_f_share, std.ratio_share)
     f_px = (rig.tele.f_px, rig.wide.f_px)
-    from_exif = "EXIF or as stated; matches hardly show it"
+    from_exif = _focal_words(found)
     yield "f_tele / f_wide", f"{rig.asymmetry:.4f}", f"{rig.asymmetry * std.ratio_share:.4f}", "matches"
     yield "focal length of tele", f"{f_px[0]:.0f} px", f"{f_px[0] * std.tele_f_share:.0f} px", from_exif
     yield "focal length of wide", f"{f_px[1]:.0f} px", f"{f_px[1] * wide_share:.0f} px", from_exif
@@ -170,6 +170,16 @@ def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
         yield "distance of the lenses", "not known", "-", "nobody stated it, and no match shows it"
     source = "that principal points lie near the photos' middles; no match shows it"
     yield "zero of disparity", "0 tele px", f"{std.zero_px:.0f} tele px", source
+
+
+def _focal_words(found: SceneRig) -> str:
+    """What the focal lengths rest on, by the same figure that their check goes by."""
+    if found.tele_f_contradiction <= CONTRADICTIONS[0]:
+        return "EXIF or as stated; matches hardly show it"
+    return (
+        f"matches, {found.tele_f_contradiction:.1f} standard deviations from the {found.focal.tele_f_px:.0f} px "
+        "that EXIF or --f35 says of tele"
+    )
 
 
 def _coverage_figures(found: SceneRig, views: Sequence[SceneView]) -> Iterator[str]:

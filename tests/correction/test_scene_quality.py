@@ -30,11 +30,11 @@ def made(
 ) -> SceneRig:
     two = np.full(2, 0.02)
     std = SceneStd(0.05, 0.003, 250 * two, np.full(3, 1e-3), two, two / 2, 800 * two, zero_px, baseline_m=0.0005)
-    return SceneRig(rig, std, n_scenes, side_source)
+    return SceneRig(rig, std, n_scenes, side_source, FOCAL)
 
 
 def check(evidence: SceneEvidence, word: str) -> Check:
-    found = [each for each in judge_scenes(evidence, focal=FOCAL).checks if word in each.name]
+    found = [each for each in judge_scenes(evidence).checks if word in each.name]
     assert len(found) == 1, word
     return found[0]
 
@@ -45,7 +45,7 @@ def halves(second: StereoRig = RIG) -> tuple[SceneRig, SceneRig]:
 
 @pytest.mark.parametrize("n_scenes", [3, 5])
 def test_a_rig_that_nothing_was_held_out_from_is_not_usable(n_scenes: int) -> None:
-    quality = judge_scenes(SceneEvidence(made(n_scenes=n_scenes), None), focal=FOCAL)
+    quality = judge_scenes(SceneEvidence(made(n_scenes=n_scenes), None))
     assert quality.verdict == "insufficient"
     failed = [each for each in quality.checks if each.status == "fail"]
     assert [each.name for each in failed] == ["captures to check the rig by"]
@@ -55,7 +55,7 @@ def test_a_rig_that_nothing_was_held_out_from_is_not_usable(n_scenes: int) -> No
 
 def test_with_halves_that_agree_it_is_usable() -> None:
     evidence = SceneEvidence(made(), halves(), (np.linspace(0, 0.5, 51), np.linspace(0.5, 1, 50)))
-    quality = judge_scenes(evidence, focal=FOCAL)
+    quality = judge_scenes(evidence)
     assert quality.verdict == "usable"
     assert quality.cross_validation_px == pytest.approx(0, abs=1e-9)
     assert quality.epipolar_p50_px == pytest.approx(0.5)
@@ -76,12 +76,26 @@ def test_halves_that_differ_are_told_but_not_for_the_zero_of_disparity() -> None
 @pytest.mark.parametrize(("source", "status"), [("guessed", "warn"), ("contradicted", "fail")])
 def test_a_side_that_is_not_known_is_a_check(source: SideSource, status: str) -> None:
     assert check(SceneEvidence(made(side_source=source), halves()), "side").status == status
-    names = [each.name for each in judge_scenes(SceneEvidence(made(), halves()), focal=FOCAL).checks]
+    names = [each.name for each in judge_scenes(SceneEvidence(made(), halves())).checks]
     assert not any("side" in name for name in names)
 
 
+@pytest.mark.parametrize(("factor", "status"), [(1.02, "pass"), (0.98, "pass"), (0.95, "warn"), (0.885, "fail")])
+def test_matches_that_contradict_exif_are_no_rig(factor: float, status: str) -> None:
+    two = np.full(2, 0.02)
+    std = SceneStd(0.02, 0.003, two, two, two, two, two, zero_px=20.0)
+    tele, wide = (replace(camera, K=np.diag([factor, factor, 1]) @ camera.K) for camera in (RIG.tele, RIG.wide))
+    both = SceneRig(replace(RIG, tele=tele, wide=wide), std, 8, "stated", FOCAL)
+    off = check(SceneEvidence(both, halves()), "tele focal length against EXIF")
+    assert off.status == status
+    assert off.value == pytest.approx(abs(np.log(factor)) / np.hypot(0.02, 0.02))
+    assert check(SceneEvidence(both, halves()), "f_wide against EXIF").status == "pass"
+    one = SceneRig(replace(RIG, wide=wide), replace(std, ratio_share=0.0265), 8, "stated", FOCAL)
+    assert check(SceneEvidence(one, halves()), "f_wide against EXIF").status == status
+
+
 def test_the_zero_of_disparity_is_read_back() -> None:
-    quality = judge_scenes(SceneEvidence(made(zero_px=27.5), halves()), focal=FOCAL)
+    quality = judge_scenes(SceneEvidence(made(zero_px=27.5), halves()))
     assert zero_std_px(quality) == pytest.approx(27.5)
     assert zero_std_px(replace(quality, checks=())) == 0.0
 
@@ -91,10 +105,7 @@ def test_a_stated_baseline_is_not_a_measured_one() -> None:
     assert distance.status == "warn"
     assert distance.value == pytest.approx(0.0005 / RIG.baseline_m)
     relative = made(replace(RIG, is_scale_known=False))
-    assert not any(
-        "distance of the lenses" in each.name
-        for each in judge_scenes(SceneEvidence(relative, None), focal=FOCAL).checks
-    )
+    assert not any("distance of the lenses" in each.name for each in judge_scenes(SceneEvidence(relative, None)).checks)
 
 
 def test_row_errors_are_those_of_the_matches_and_mismatches_stand_out(rng: np.random.Generator) -> None:

@@ -21,15 +21,17 @@ RIG = phone_rig(has_distortion=False)
 ERRORS_PX = np.linspace(0, 1.5, 151)
 
 
-def found(rig: StereoRig = RIG, *, side_source: SideSource = "seen", n_scenes: int = 7) -> SceneRig:
+def found(
+    rig: StereoRig = RIG, *, side_source: SideSource = "seen", n_scenes: int = 7, focal: FocalPrior | None = None
+) -> SceneRig:
     two = np.full(2, 0.02)
     std = SceneStd(0.05, 0.003, 250 * two, np.full(3, 1e-3), two, two / 2, 800 * two, 26.0, baseline_m=0.0005)
-    return SceneRig(rig, std, n_scenes, side_source)
+    return SceneRig(rig, std, n_scenes, side_source, focal or FocalPrior(RIG.tele.f_px, RIG.wide.f_px))
 
 
 def judged(rig: SceneRig, *, is_checked: bool = True) -> CalibrationQuality:
     evidence = SceneEvidence(rig, (rig, rig), (ERRORS_PX,)) if is_checked else SceneEvidence(rig, None)
-    return judge_scenes(evidence, focal=FocalPrior(RIG.tele.f_px, RIG.wide.f_px))
+    return judge_scenes(evidence)
 
 
 def page(path: Path, rig: SceneRig, quality: CalibrationQuality, *, has_pair: bool = True) -> str:
@@ -86,6 +88,20 @@ def test_depth_says_what_the_unknown_zero_costs(tmp_path: Path, *, is_metric: bo
     assert f"{share:.1%}" in words
     assert ("zero pinned with --distance" in words) is is_metric
     assert ("depth is relative" in words) is not is_metric
+
+
+@pytest.mark.parametrize(("factor", "is_shown"), [(1.01, False), (1.13, True)])
+def test_the_table_and_the_checks_say_the_same_of_a_focal_length(
+    tmp_path: Path, factor: float, *, is_shown: bool
+) -> None:
+    focal = FocalPrior(factor * RIG.tele.f_px, factor * RIG.wide.f_px)
+    rig = found(focal=focal)
+    words = words_of(page(tmp_path / "page.html", rig, judged(rig)))
+    assert ("matches hardly show it" in words) != is_shown
+    assert ("Matches want a tele focal length" in words) == is_shown
+    assert (
+        f"{rig.tele_f_contradiction:.1f} standard deviations from the {focal.tele_f_px:.0f} px" in words
+    ) == is_shown
 
 
 def test_what_was_not_checked_is_said(tmp_path: Path) -> None:
