@@ -29,7 +29,7 @@ _WORLD_HELP = (
 
 
 def simulate(
-    out: Annotated[Path, typer.Argument(help="Folder to write captures into.")],
+    out: Annotated[Path, typer.Argument(help="Folder to write captures into, new or empty.")],
     *,
     world: Annotated[str | None, typer.Option(metavar="pairs|phone|rooms", help=_WORLD_HELP)] = None,
     captures: Annotated[int, typer.Option(help="How many captures.")] = 10,
@@ -37,7 +37,7 @@ def simulate(
         int | None, typer.Option(help="How many photos of the board by each lens; phone and rooms. [default: 14; 20]")
     ] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
-    width: Annotated[int | None, typer.Option(help="Width of tele, px. [default: 384; rooms 720]")] = None,
+    width: Annotated[int | None, typer.Option(help="Width of tele, px. [default: pairs and phone 384; rooms 720]")] = None,
     height: Annotated[int | None, typer.Option(help="Height of tele, px; pairs. [default: 256]")] = None,
     factor: Annotated[
         float | None, typer.Option(help="How many times fewer pixels wide has along each side; pairs. [default: 3]")
@@ -62,6 +62,7 @@ def simulate(
         "rooms": {"--samples": samples, "--lenses": lenses, "--raw": raw or None, "--thin-lens": thin_lens or None},
     }
     _refuse_foreign(chosen, own, boards=boards)
+    _refuse_filled(out)
     if chosen == "pairs":
         hw = (_or(height, _PAIR_HEIGHT_PX), _or(width, _PAIR_WIDTH_PX))
         _simulate_pairs(out, captures, seed, hw=hw, factor=3.0 if factor is None else factor, scene=scene)
@@ -91,6 +92,19 @@ def _refuse_foreign(chosen: str, own: Mapping[str, Mapping[str, object]], *, boa
             raise UsageError(f"{', '.join(given)}: for --world {world}; the world is {chosen}")
     if chosen == "pairs" and boards is not None:
         raise UsageError("--boards: no board is photographed in the world pairs", hint="add --world phone or rooms")
+
+
+def _refuse_filled(out: Path) -> None:
+    """Captures that lie there would be replaced, or stand among the made ones."""
+    try:
+        is_filled = out.is_dir() and any(out.iterdir())
+    except OSError as error:
+        raise UsageError(f"{out} cannot be opened: {error.strerror or error}") from error
+    if is_filled:
+        raise UsageError(
+            f"{out} is not empty; a new folder was expected, for captures in it could be replaced",
+            hint="name a folder that is not there yet, or empty this one first",
+        )
 
 
 def _is_vertical(lenses: str | None) -> bool | None:

@@ -320,7 +320,25 @@ def test_simulate_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFix
     words = ("simulate", str(out), "--captures", "1", "--width", "96", "--height", "96", "--factor", "1.5")
     assert run_cli(*words) == 0
     assert f"telewide train {out}" in capsys.readouterr().err
-    refused(capsys, "simulate", str(out), "--captures", "0", code=2, names=("0",))
+    refused(capsys, "simulate", str(tmp_path / "none"), "--captures", "0", code=2, names=("captures is 0",))
+
+
+@pytest.mark.parametrize("world", ["pairs", "phone", "rooms"])
+def test_simulate_leaves_what_lies_in_a_folder_alone(
+    world: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine" / "000" / "tele.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_bytes(b"my photo")
+    words = ("simulate", str(tmp_path / "mine"), "--world", world, "--captures", "1")
+    refused(capsys, *words, code=2, names=(f"{tmp_path / 'mine'} is not empty", "name a folder"))
+    assert [path for path in (tmp_path / "mine").rglob("*") if path.is_file()] == [mine]
+    assert mine.read_bytes() == b"my photo"
+
+
+def test_simulate_fills_an_empty_folder(tmp_path: Path) -> None:
+    assert run_cli("simulate", str(tmp_path), "--captures", "1", "--width", "96", "--height", "96") == 0
+    assert (tmp_path / "000" / "truth.pfm").is_file()
 
 
 def test_a_place_that_cannot_be_a_folder_is_refused_before_the_work(
