@@ -95,7 +95,7 @@ def benchmark_matches(
         for entrant in entrants
     )
     notes = [f"{problem.name}: {problem.message}" for problem in prepared.problems]
-    if not sets[HELD_OUT]:
+    if trained_runs and not sets[HELD_OUT]:
         notes.append("no capture is known to be unseen by every network, so all matches are of captures trained on")
     return BenchmarkReport("matches", {"captures": sets, "window": list(window)}, rows, tuple(notes))
 

@@ -109,8 +109,14 @@ def test_the_truth_misses_few_matches_and_a_shifted_one_nearly_all(captures: Pat
     assert float(str(off["mean_px"])) == pytest.approx(OFF_PX, abs=0.3)
 
 
-def test_without_a_record_no_capture_counts_as_unseen(captures: Path) -> None:
+def test_without_a_training_nothing_is_said_of_one(captures: Path) -> None:
     report = measured(captures)
+    assert {row["captures"] for row in report.rows} == {"all"}
+    assert report.notes == ()
+
+
+def test_without_a_record_no_capture_counts_as_unseen(captures: Path, tmp_path: Path) -> None:
+    report = measured(captures, trained_runs=(RunFolder(tmp_path / "unrecorded"),))
     assert {row["captures"] for row in report.rows} == {"all"}
     assert "unseen" in report.notes[-1]
     assert len(matches_table(report).splitlines()) == 2 + 3
