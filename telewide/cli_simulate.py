@@ -37,7 +37,9 @@ def simulate(
         int | None, typer.Option(help="How many photos of the board by each lens; phone and rooms. [default: 14; 20]")
     ] = None,
     seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
-    width: Annotated[int | None, typer.Option(help="Width of tele, px. [default: pairs and phone 384; rooms 720]")] = None,
+    width: Annotated[
+        int | None, typer.Option(help="Width of tele, px. [default: pairs and phone 384; rooms 720]")
+    ] = None,
     height: Annotated[int | None, typer.Option(help="Height of tele, px; pairs. [default: 256]")] = None,
     factor: Annotated[
         float | None, typer.Option(help="How many times fewer pixels wide has along each side; pairs. [default: 3]")
