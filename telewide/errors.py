@@ -45,3 +45,12 @@ class MissingPartError(TelewideError):
     """An optional part (an extra, a device) is not installed."""
 
     exit_code = 5
+
+
+def extra_hint(extra: str) -> str:
+    """What to do where an extra is not installed; telewide comes as a clone, not from a package index.
+
+    Args:
+        extra: its name in pyproject.toml.
+    """
+    return f"in your clone of telewide, in its environment: pip install -e '.[{extra}]'"

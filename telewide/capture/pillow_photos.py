@@ -13,7 +13,7 @@ from typing import BinaryIO
 from PIL import Image, features
 
 from telewide.capture.formats import PhotoFormat
-from telewide.errors import InputError, MissingPartError
+from telewide.errors import InputError, MissingPartError, extra_hint
 
 _SDR_SRGB_PRIMARIES = {0, 1, 2}
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
@@ -40,7 +40,7 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
         if find_spec("pillow_heif") is None:
             raise MissingPartError(
                 f"{path} is a HEIC photo; reading it needs a part that is not installed",
-                hint="pip install 'telewide[heif]', or export it as JPEG",
+                hint=f"{extra_hint('heif')}; or export it as JPEG",
             )
         import pillow_heif
 

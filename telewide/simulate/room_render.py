@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.errors import MissingPartError
+from telewide.errors import MissingPartError, extra_hint
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rig import Camera, StereoRig
 from telewide.simulate.room_scene import Light, Room, Solid
@@ -155,7 +155,7 @@ def _load_mitsuba() -> Any:
         drjit = importlib.import_module("drjit")
     except ImportError as error:
         raise MissingPartError(
-            "rooms are rendered with mitsuba, which is not installed", hint="pip install 'telewide[simulate]'"
+            "rooms are rendered with mitsuba, which is not installed", hint=extra_hint("simulate")
         ) from error
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
