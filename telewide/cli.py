@@ -163,6 +163,10 @@ def depth(
     """Compute disparity, depth where the scale is known, and bokeh."""
     if not bokeh and (focus != "auto" or f_number is not None or strength is not None):
         raise UsageError("--focus, --f-number and --strength shape the bokeh picture", hint="add --bokeh")
+    if method == "sgm" and weights is not None:
+        raise UsageError(
+            "--method sgm matches without a network, and --weights names one", hint="leave one of them out"
+        )
     if method == "sgm" and device == "cuda":
         raise UsageError("--method sgm runs on the processor, not on a GPU", hint="leave --device out")
     options = _depth_options(

@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from telewide.capture.rundir import RunFolder, fingerprint
+from telewide.capture.rundir import WEIGHTS_NAME, RunFolder, fingerprint, locate_run
+from telewide.command_line import command_line
 from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.matching.semiglobal import match_semiglobal
@@ -45,14 +46,18 @@ class Matcher:
     doubt: str | None = None
 
 
-def choose_matcher(run: RunFolder, *, method: str, weights: Path | None, device: str) -> Matcher:
+def choose_matcher(
+    run: RunFolder, captures_root: Path, *, method: str, weights: Path | None, device: str, rig: Path | None = None
+) -> Matcher:
     """Take a matcher by name; a network is read.
 
     Args:
         run: whose newest weights are taken where none are named.
+        captures_root: folder of the captures to match, for what is advised where there are none.
         method: one of `METHODS`.
         weights: a weights file, or None.
         device: of a network: auto, cpu or cuda.
+        rig: rig file as the user named it, for the same advice.
 
     Returns:
         The matcher; its doubt tells of weights whose training is not finished.
@@ -64,26 +69,33 @@ def choose_matcher(run: RunFolder, *, method: str, weights: Path | None, device:
     """
     if method == "sgm":
         return Matcher(match_semiglobal, "sgm")
+    path = weights or run.weights
+    if not path.is_file():  # said before torch is imported, which takes seconds
+        raise UsageError(
+            f"{path} does not exist" if weights else f"{run.root} holds no trained network",
+            hint=_how_to_match(run, captures_root, rig=rig),
+        )
     from telewide.matching.inference import choose_device, match_with_network
     from telewide.matching.joint import match_jointly
-    from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
+    from telewide.training.checkpoint import load_weights
 
-    path = weights or run.train / WEIGHTS_NAME
-    if not path.is_file():
-        missing = f"{path} does not exist" if weights else f"{run.root} holds no trained network"
-        raise UsageError(
-            missing,
-            hint="train one with: telewide train captures/  or match at once, untrained: telewide depth --method sgm",
-        )
     network, card = load_weights(path, device=choose_device(device))
     match = partial(match_jointly if method == "joint" else match_with_network, network=network)
     return Matcher(match, f"{method} {fingerprint(path)}", card.window, _unfinished(path, card))
 
 
+def _how_to_match(run: RunFolder, captures_root: Path, *, rig: Path | None) -> str:
+    """The commands that make weights for these captures, and that go without."""
+    out = None if run == locate_run(None, captures_root) else run.root
+    trained = command_line("train", captures_root, out=out, rig=rig)
+    untrained = command_line("depth", captures_root, method="sgm", rig=rig)
+    return f"train one with: {trained}  or match at once, untrained: {untrained}"
+
+
 def _unfinished(weights: Path, card: WeightsCard) -> str | None:
     """Where the training stands that goes on writing a weights file; None where it is finished, or nothing tells."""
     from telewide.matching.inference import choose_device
-    from telewide.training.checkpoint import STATE_NAME, WEIGHTS_NAME, load_state
+    from telewide.training.checkpoint import STATE_NAME, load_state
     from telewide.training.stages import plan_stages
 
     state_path = weights.with_name(STATE_NAME)

@@ -283,7 +283,14 @@ def _train(call: _Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
 
 
 def _matcher(call: _Call, options: DepthOptions) -> Matcher:
-    matcher = choose_matcher(call.folder, method=options.method, weights=options.weights, device=options.device)
+    matcher = choose_matcher(
+        call.folder,
+        call.captures.root,
+        method=options.method,
+        weights=options.weights,
+        device=options.device,
+        rig=call.rig_file,
+    )
     if matcher.doubt is not None:
         call.observer.said(matcher.doubt)
     return matcher

@@ -30,7 +30,6 @@ from telewide.prepare import PreparedSet, write_labels
 from telewide.recipe import Recipe, differing_keys
 from telewide.training.checkpoint import (
     STATE_NAME,
-    WEIGHTS_NAME,
     BestWeights,
     TrainingState,
     load_state,
@@ -138,9 +137,8 @@ def train_prepared(
         tick = labelling(len(prepared.pairs))
         write_labels(prepared, names=processes.share(names), window=record.window, tick=tick)
     processes.wait()
-    training = _training(prepared, run, record, recipe, device=device, processes=processes)
     logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
-    train(training, state, reporter=logged)
+    train(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
     return _outcome(run, plan, state, is_new=True)
 
 
@@ -176,7 +174,7 @@ def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: Traini
 def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:
     """One line on a training that was begun before."""
     if state.is_finished:
-        return f"finished already: {run.train / WEIGHTS_NAME}; --fresh starts over"
+        return f"finished already: {run.weights}; --fresh starts over"
     resuming = f"resuming {plan[state.stage_index].name} at step {state.step}"
     return f"{len(grown)} new captures: {', '.join(grown[:5])}; {resuming} on the larger set" if grown else resuming
 
@@ -310,7 +308,7 @@ def _workers(device: torch.device) -> int:
 
 def _outcome(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
     stages = {stage.name: value for stage, value in zip(plan, state.stage_judgements, strict=False)}
-    return TrainOutcome(run.train / WEIGHTS_NAME, is_new, stages, plan[state.best_stage].name)
+    return TrainOutcome(run.weights, is_new, stages, plan[state.best_stage].name)
 
 
 def _forget(run: RunFolder) -> None:

@@ -142,9 +142,20 @@ def test_unknown_key_in_captures_yaml_names_the_nearest(captures: Path, capsys: 
 
 
 def test_depth_without_a_trained_run_says_how_to_get_one(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names = ("no trained network", "telewide train", "--method sgm")
+    names = ("no trained network", "telewide train captures ", "telewide depth captures --method sgm")
     refused(capsys, "depth", code=2, names=names)
-    refused(capsys, "depth", "--run", "elsewhere", code=2, names=("elsewhere", *names))
+    refused(capsys, "depth", "--run", "elsewhere", code=2, names=("telewide train captures --out elsewhere ",))
+    captures.rename("my pairs")
+    names = ("telewide train 'my pairs' ", "telewide depth 'my pairs' --method sgm")
+    refused(capsys, "depth", "my pairs", code=2, names=names)
+
+
+def test_depth_without_a_trained_run_is_refused_without_torch(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("torch", "telewide.matching.inference", "telewide.training.checkpoint"):
+        monkeypatch.setitem(sys.modules, name, None)
+    refused(capsys, "depth", code=2, names=("no trained network",))
 
 
 def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -350,6 +361,13 @@ def test_a_place_that_cannot_be_a_folder_is_refused_before_the_work(
         main(["depth", str(tmp_path / "captures"), "--method", "sgm", "--out", str(tmp_path / "taken" / "depth")])
     assert left.value.code == 2
     assert "cannot be made" in capsys.readouterr().err
+
+
+def test_weights_that_nothing_would_read_are_refused(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("some.safetensors").touch()
+    words = ("depth", "--method", "sgm", "--weights", "some.safetensors")
+    refused(capsys, *words, code=2, names=("--method sgm", "--weights"))
+    assert not Path("run").exists()
 
 
 def test_bokeh_options_without_bokeh_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

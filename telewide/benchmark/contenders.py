@@ -75,15 +75,15 @@ def source_labels(sources: Sequence[Path]) -> list[str]:
 
 def _contenders_of(source: Path, label: str, *, device: str) -> list[Contender]:
     from telewide.matching.inference import choose_device
-    from telewide.training.checkpoint import WEIGHTS_NAME, load_weights
+    from telewide.training.checkpoint import load_weights
 
     torch_device = choose_device(device)
     if source.is_file():
         network, card = load_weights(source, device=torch_device)
         return [_network_contender(label, network, card.window), _joint_contender(label, network, card.window)]
-    folder = RunFolder(source).train
-    stages = sorted((p for p in folder.glob(f"*{_SUFFIX}") if p.name != WEIGHTS_NAME), key=_position)
-    result = folder / WEIGHTS_NAME
+    run = RunFolder(source)
+    result = run.weights
+    stages = sorted((p for p in run.train.glob(f"*{_SUFFIX}") if p != result), key=_position)
     if not stages and not result.is_file():
         raise UsageError(
             f"{source} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"

@@ -25,6 +25,7 @@ from telewide.calibration.rig_file import RigFacts, write_rig
 from telewide.calibration.shots import detect_shots, find_board_shots
 from telewide.calibration.solve import calibrate_rig
 from telewide.capture.images import read_image, read_pfm
+from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
 from telewide.observer import Observer
@@ -231,8 +232,6 @@ def _percent(value: object, form: str) -> str:
 
 
 def _weights_of(run: Path) -> Path:
-    from telewide.training.checkpoint import WEIGHTS_NAME
-
     weights = run / "train" / WEIGHTS_NAME
     if not weights.is_file():
         raise UsageError(

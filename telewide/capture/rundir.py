@@ -32,6 +32,8 @@ from pathlib import Path
 from telewide.errors import TelewideError, UsageError
 
 FORMAT = 1
+WEIGHTS_NAME = "weights.safetensors"
+"""Of the result of a training, in the folder of the training."""
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _TEMPORARY = re.compile(r"\.telewide-(?P<host>[0-9a-f]{8})-(?P<pid>[0-9]+)-[0-9a-f]{12}(\..*)?")
 _log = logging.getLogger("telewide")
@@ -56,6 +58,11 @@ class RunFolder:
     def train(self) -> Path:
         """Folder of checkpoints and of the training log."""
         return self.root / "train"
+
+    @property
+    def weights(self) -> Path:
+        """The result of the training so far."""
+        return self.train / WEIGHTS_NAME
 
     @property
     def training_log(self) -> Path:

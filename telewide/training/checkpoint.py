@@ -29,7 +29,6 @@ from telewide.matching.window import Window
 
 FORMAT = "1"
 STATE_NAME = "state.pt"
-WEIGHTS_NAME = "weights.safetensors"
 
 
 @dataclass

@@ -17,13 +17,13 @@ from typing import Protocol
 
 import torch
 
+from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import TelewideError, UsageError
 from telewide.matching.inference import full_precision, low_precision
 from telewide.matching.networks import StereoNetwork, standardise
 from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.training.checkpoint import (
     STATE_NAME,
-    WEIGHTS_NAME,
     BestWeights,
     TrainingState,
     WeightsCard,

@@ -11,13 +11,13 @@ import pytest
 import torch
 from training.small import CPU, CROP_HW, Heard, ScriptedJudge, stage_of, three_stages, training_in
 
+from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import TelewideError, UsageError
 from telewide.matching.inference import full_precision
 from telewide.matching.networks import NETWORKS, StereoNetwork, build_network
 from telewide.training import loop
 from telewide.training.checkpoint import (
     STATE_NAME,
-    WEIGHTS_NAME,
     TrainingState,
     load_state,
     load_weights,
