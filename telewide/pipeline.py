@@ -230,15 +230,30 @@ def _begun(
 def _check(call: _Call, options: DepthOptions) -> None:
     rig = None if call.rig is None else call.rig.rig
     check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
+    _check_distance(call, options)
+
+
+def _check_distance(call: _Call, options: DepthOptions) -> None:
     if options.known is not None and len(call.captures.captures) > 1:
         one = call.captures.root / call.captures.captures[0].name
         raise UsageError(
             f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
             hint=f"name one: {command_line('depth', one, rig=call.rig_file, distance='X,Y,M')}",
         )
-    if (options.known is not None or options.trusts_focus) and rig is None:
+    if (options.known is not None or options.trusts_focus) and call.rig is None:
         raise UsageError(
             "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"
+        )
+    if options.known is not None:
+        with suppress(InputError):  # a photo that cannot be read is a problem of its capture, said where it is read
+            _refuse_outside(options.known, hw=read_photo_facts(call.captures.captures[0].tele_path).hw)
+
+
+def _refuse_outside(known: KnownDistance, *, hw: tuple[int, int] | None) -> None:
+    if hw is not None and not (0 <= known.x_px <= hw[1] - 1 and 0 <= known.y_px <= hw[0] - 1):
+        raise UsageError(
+            f"--distance: the point {known.x_px:g},{known.y_px:g} lies outside the tele photo of {hw[1]} x {hw[0]} px",
+            hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
         )
 
 

@@ -12,7 +12,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from rig_worlds import phone_rig, photos_of_a_plane
 
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.images import read_image, read_pfm, write_image
 from telewide.capture.pair import Capture, find_captures
@@ -191,6 +194,24 @@ def test_every_layout_gives_the_same(
     for name in ("000", "001"):
         expected = (matched / name / "disparity.pfm").read_bytes()
         assert (tmp_path / "run" / "depth" / name / "disparity.pfm").read_bytes() == expected
+
+
+def test_a_distance_outside_the_photo_touches_nothing(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = phone_rig(width_px=480)
+    for name, photo in zip(("tele", "wide"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(tmp_path / "captures" / "plane" / f"{name}.png", photo)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    write_stored_rig(tmp_path / "captures" / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+    words = ("depth", str(tmp_path / "captures" / "plane"), "--rig", str(tmp_path / "captures" / "rig.yaml"))
+    words += ("--run", str(tmp_path / "run"), "--out", str(tmp_path / "kept"), "--method", "sgm", "--quiet")
+    assert run_cli(*words, "--bokeh") == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert run_cli(*words, "--distance", "180,1200,1.5") == 2
+    told = capsys.readouterr().err
+    assert f"180,1200 lies outside the tele photo of {rig.tele.hw[1]} x {rig.tele.hw[0]} px" in told
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 class TestNothingIsDoneTwice:

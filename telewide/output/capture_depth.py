@@ -126,8 +126,9 @@ def depth_of_capture(
     try:
         lying = made = read_kept(folder, key)
         if made is None:
+            computed = _compute(source, held_out, facts=facts, match=match, bokeh=bokeh, shot=shot)
             (folder / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
-            made = _make(source, held_out, folder, facts=facts, match=match, bokeh=bokeh, shot=shot)
+            made = _write(folder, computed)
             write_kept(folder, made, key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -135,48 +136,75 @@ def depth_of_capture(
     return DepthOutcome(source.name, paths, made.notes, made.numbers, is_kept=lying is not None)
 
 
-def _make(
+@dataclass(frozen=True)
+class _Computed:
+    """All that is to be written of one capture; `bokeh_note` without a picture says why there is none."""
+
+    photo: FloatMap
+    result: DepthResult
+    metric_notes: tuple[str, ...]
+    picture: FloatMap | None
+    bokeh_note: str | None
+    numbers: Mapping[str, float]
+
+
+def _compute(
     source: Capture,
     held_out: HeldOut,
-    folder: Path,
     *,
     facts: CaptureFacts,
     match: Match,
     bokeh: BokehOptions | None,
     shot: ShotGeometry | None,
-) -> KeptDepth:
+) -> _Computed:
+    """Do all that can fail, and touch no file."""
     begun_s = time.monotonic()
     pair = read_pair(held_out.capture)
     working = match(pair.tele, pair.wide)
-    matched_s = time.monotonic()
+    numbers = {"match_s": time.monotonic() - begun_s}
     photo = read_image(source.tele_path)
     if shot is None:
         result = depth_result(source.name, on_photo(working, photo), facts=facts)
         metric_notes: tuple[str, ...] = ()
     else:
         result, metric_notes = _result_of_shot(source.name, working, photo, shot=shot)
-    before = fingerprint(folder / "disparity.pfm") if (folder / "disparity.pfm").is_file() else None
-    written = write_depth(folder, result, image=photo)
-    if before != fingerprint(folder / "disparity.pfm"):
-        (folder / "bokeh.jpg").unlink(missing_ok=True)  # of another depth
-    names = [path.name for path in written.paths]
-    notes = (*written.notes, *metric_notes)
-    focused: dict[str, float] = {}
-    refusal = None if bokeh is None else why_no_bokeh(bokeh, baseline_m=result.baseline_m)
-    if refusal is not None:
-        (folder / "bokeh.jpg").unlink(missing_ok=True)  # of another blur
-        notes = (*notes, f"{source.name}: bokeh.jpg left out: {refusal}")
-    elif bokeh is not None:
-        names.append("bokeh.jpg")
-        focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
-        picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
-        write_image(folder / names[-1], picture, shown_turned_deg=result.rotated_deg)
-        focused = _focus_numbers(focus, result)
-        depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")
-        notes = (*notes, focus_note(source.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh))
-    numbers = {"match_s": matched_s - begun_s, "total_s": time.monotonic() - begun_s} | focused
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
-    return KeptDepth(tuple(names), notes, numbers | _errors_of_truth(source, result.disparity.disparity_px))
+    numbers |= _errors_of_truth(source, result.disparity.disparity_px)
+    picture, note = None, None
+    if bokeh is not None:
+        picture, note, focused = _blurred(photo, result, bokeh)
+        numbers |= focused
+    numbers["total_s"] = time.monotonic() - begun_s
+    return _Computed(photo, result, metric_notes, picture, note, numbers)
+
+
+def _blurred(
+    photo: FloatMap, result: DepthResult, bokeh: BokehOptions
+) -> tuple[FloatMap | None, str, dict[str, float]]:
+    """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
+    refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m)
+    if refusal is not None:
+        return None, f"{result.name}: bokeh.jpg left out: {refusal}", {}
+    focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
+    picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
+    focused = _focus_numbers(focus, result)
+    depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")
+    return picture, focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh), focused
+
+
+def _write(folder: Path, computed: _Computed) -> KeptDepth:
+    disparity_path, bokeh_path = folder / "disparity.pfm", folder / "bokeh.jpg"
+    before = fingerprint(disparity_path) if disparity_path.is_file() else None
+    written = write_depth(folder, computed.result, image=computed.photo)
+    names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
+    if computed.bokeh_note is not None:
+        notes = (*notes, computed.bokeh_note)
+    if computed.picture is not None:
+        write_image(bokeh_path, computed.picture, shown_turned_deg=computed.result.rotated_deg)
+        names.append(bokeh_path.name)
+    elif computed.bokeh_note is not None or before != fingerprint(disparity_path):
+        bokeh_path.unlink(missing_ok=True)  # of another blur, or of another depth
+    return KeptDepth(tuple(names), notes, computed.numbers)
 
 
 def _result_of_shot(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from telewide.errors import UsageError
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.output.bokeh_picture import BokehOptions, bokeh_picture
-from telewide.output.capture_depth import DepthOutcome, ShotGeometry, depth_of_capture, on_photo
+from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture, on_photo
 from telewide.output.drawing import upright
 from telewide.output.metric import DepthPrecision
 
@@ -103,6 +104,20 @@ def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Cap
     assert "taken to be 0.79 m away" in pinned
     assert ", 0.79 ± 0.0" in pinned
     assert "hardly" not in pinned
+
+
+def test_what_fails_leaves_earlier_results_alone(capture: Capture, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    made(capture, folder, bokeh=BokehOptions())
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert {"depth.json", "bokeh.jpg"} <= set(before)
+    truth_path = tmp_path / "captures" / "one" / "truth.pfm"
+    truth_path.write_bytes(b"torn")
+    torn = dataclasses.replace(capture, truth_path=truth_path)
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    failed = depth_of_capture(torn, held_out, folder, facts=FACTS, match=stepped, bokeh=None, key={"truth": "torn"})
+    assert isinstance(failed, DepthFailure)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 @pytest.mark.parametrize("width", [100, 201, 209])
