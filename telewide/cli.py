@@ -34,6 +34,7 @@ from telewide.cli_console import (
 from telewide.cli_import import IMPORT_EPILOG, import_photos
 from telewide.cli_simulate import SIMULATE_EPILOG, simulate
 from telewide.command_line import command_line
+from telewide.counted import counted
 from telewide.errors import TelewideError, UsageError
 from telewide.stopping import INTERRUPTED, UNREAD, terminable
 from telewide.training.processes import this_process
@@ -345,7 +346,7 @@ def _bokeh_options(*, focus: str, f_number: float | None, strength: float | None
 
 
 def _say_depth(done: DepthRun, observer: ConsoleObserver) -> None:
-    observer.said(f"depth of {len(done.outcomes)} captures in {done.folder}")
+    observer.said(f"depth of {counted(len(done.outcomes), 'capture')} in {done.folder}")
     if done.outcomes:
         names = sorted(set.intersection(*({path.name for path in outcome.paths} for outcome in done.outcomes)))
         observer.said(f"each with: {', '.join(names)}")

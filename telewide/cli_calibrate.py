@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli_console import JsonOption, QuietOption, console_observer, print_json
+from telewide.command_line import command_line
 from telewide.errors import QualityError, UsageError
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ F35Option = Annotated[
     str | None,
     typer.Option(metavar="TELE,WIDE", help="35 mm equivalents where EXIF has none, such as 80,27; with --from-scenes."),
 ]
+DEFAULT_RIG = Path("rig.yaml")
 CALIBRATE_EPILOG = (
     "Example: `telewide calibrate --square-m 0.0243`, with the photos in boards/; "
     "without a board: `telewide calibrate captures/ --from-scenes`"
@@ -63,7 +65,7 @@ def calibrate(
     baseline_m: BaselineOption = None,
     wide_side: SideOption = None,
     f35: F35Option = None,
-    out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = Path("rig.yaml"),
+    out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = DEFAULT_RIG,
     seed: Annotated[int, typer.Option(help="Seed of the choice of photos held out.")] = 0,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -89,11 +91,11 @@ def calibrate(
         observer.said(f"report: {done.report}")
         _say_next(stored, observer)
     answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(stored, done.notes)}
-    _hand_over(stored.quality, answer, as_json=as_json)
+    _hand_over(stored.quality, answer, again="Then run the same command again.", as_json=as_json)
 
 
 def show(
-    rig: Annotated[Path, typer.Argument(metavar="RIG", help="A rig.yaml.")] = Path("rig.yaml"),
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="A rig.yaml.")] = DEFAULT_RIG,
     *,
     as_json: JsonOption = False,
 ) -> None:
@@ -151,7 +153,8 @@ def _calibrate_scenes(photos: Path | None, options: SceneOptions, *, as_json: bo
         observer.said(f"report: {done.report}")
         _say_next(done.stored, observer)
     answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(done.stored, done.notes)}
-    _hand_over(done.stored.quality, answer, as_json=as_json)
+    again = f"After more captures run the same command again; after photos of a board: {_board_command(options.out)}"
+    _hand_over(done.stored.quality, answer, again=again, as_json=as_json)
 
 
 def _parsed_f35(text: str | None) -> tuple[float, float] | None:
@@ -184,14 +187,21 @@ def _say_next(stored: StoredRig, observer: ConsoleObserver) -> None:
         observer.said("next: telewide train captures/  (a rig that lies elsewhere is named with --rig)")
 
 
-def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, as_json: bool) -> None:
+def _board_command(out: Path) -> str:
+    """The command that makes the same file from photos of a board."""
+    from telewide.calibrate import BOARDS_FOLDER
+
+    return command_line("calibrate", BOARDS_FOLDER, out=None if out == DEFAULT_RIG else out)
+
+
+def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, again: str, as_json: bool) -> None:
     """Answer in JSON where asked, and leave with code 4 where the rig is not good enough."""
     failure: QualityError | None = None
     if quality.verdict == "insufficient":
         advice = " ".join(check.advice for check in quality.checks if check.status == "fail")
         failure = QualityError(
             f"{answer['rig']} was written, and marked as not good enough to compute depth with",
-            hint=f"{advice} Then run the same command again.",
+            hint=f"{advice} {again}",
         )
     if not as_json:
         if failure is not None:

@@ -11,6 +11,7 @@ import typer
 
 from telewide.cli_console import bar
 from telewide.command_line import command_line
+from telewide.counted import counted
 from telewide.errors import UsageError
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def _simulate_pairs(
     from telewide.simulate.captures import write_captures
 
     folders = write_captures(out, count=captures, seed=seed, hw=hw, factor=factor, scene=scene or "still-life")
-    typer.echo(f"wrote {len(folders)} captures to {out}", err=True)
+    typer.echo(f"wrote {counted(len(folders), 'capture')} to {out}", err=True)
     typer.echo(f"next: {command_line('train', out)}", err=True)
 
 
@@ -145,6 +146,6 @@ def _simulate_rooms(out: Path, captures: int, seed: int, *, boards: int, how: Ro
 
 
 def _say_phone(out: Path, captures: int) -> None:
-    typer.echo(f"wrote {captures} captures and photos of a board to {out}", err=True)
+    typer.echo(f"wrote {counted(captures, 'capture')} and photos of a board to {out}", err=True)
     calibrate = command_line("calibrate", board="chessboard_9x6", square_m=0.025)
     typer.echo(f"next: cd {shlex.quote(str(out))} && {calibrate}", err=True)

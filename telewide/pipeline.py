@@ -26,6 +26,7 @@ from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photo
 from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
 from telewide.command_line import command_line
 from telewide.correction.pin import KnownDistance, focused_at
+from telewide.counted import counted
 from telewide.errors import InputError, UsageError
 from telewide.matcher import Matcher, choose_matcher
 from telewide.observer import Observer
@@ -339,7 +340,7 @@ def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: Dep
     n_kept = sum(outcome.is_kept for outcome in outcomes)
     if n_kept:
         same = "same photos, same weights, same options"
-        call.observer.said(f"{n_kept} of {len(outcomes)} captures are as they were: {same}")
+        call.observer.said(f"kept as they were: {n_kept} of {counted(len(outcomes), 'capture')}, {same}")
     asked = {**asdict(options), "matcher": matcher.key}
     _record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
     problems = (*prepared.problems, *(failure.problem for failure in failures))

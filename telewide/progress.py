@@ -16,6 +16,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from telewide.counted import counted
+
 if TYPE_CHECKING:
     from telewide.capture.pair import CaptureSet, Problem
     from telewide.correction.inspect import PairReport
@@ -57,7 +59,7 @@ class ConsoleObserver:
 
     def preparing(self, captures: CaptureSet) -> None:
         """Show a bar over the captures."""
-        self.said(f"{len(captures.captures)} captures in {captures.root}")
+        self.said(f"{counted(len(captures.captures), 'capture')} in {captures.root}")
         self._begin("measuring and correcting", total=len(captures.captures))
 
     def pair_prepared(self, report: PairReport | None) -> None:

@@ -21,6 +21,7 @@ import torch
 from telewide.capture.pair import Capture, PairReader
 from telewide.capture.rundir import RunFolder, write_text
 from telewide.correction.held_out import HeldOut
+from telewide.counted import counted
 from telewide.errors import InputError, UsageError
 from telewide.matching.inference import match_with_network
 from telewide.matching.networks import StereoNetwork
@@ -176,7 +177,9 @@ def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState
     if state.is_finished:
         return f"finished already: {run.weights}; --fresh starts over"
     resuming = f"resuming {plan[state.stage_index].name} at step {state.step}"
-    return f"{len(grown)} new captures: {', '.join(grown[:5])}; {resuming} on the larger set" if grown else resuming
+    if not grown:
+        return resuming
+    return f"{counted(len(grown), 'new capture')}: {', '.join(grown[:5])}; {resuming} on the larger set"
 
 
 def read_record(run: RunFolder) -> TrainingRecord | None:

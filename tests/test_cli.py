@@ -330,7 +330,8 @@ def test_simulate_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFix
     out = tmp_path / "made"
     words = ("simulate", str(out), "--captures", "1", "--width", "96", "--height", "96", "--factor", "1.5")
     assert run_cli(*words) == 0
-    assert f"telewide train {out}" in capsys.readouterr().err
+    told = capsys.readouterr().err.splitlines()
+    assert told == [f"wrote 1 capture to {out}", f"next: telewide train {out}"]
     refused(capsys, "simulate", str(tmp_path / "none"), "--captures", "0", code=2, names=("captures is 0",))
 
 

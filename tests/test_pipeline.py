@@ -248,7 +248,7 @@ class TestNothingIsDoneTwice:
         assert run_cli(*words) == 0
         told = capsys.readouterr().err
         assert "finished already" in told
-        assert "2 of 2 captures are as they were" in told
+        assert "kept as they were: 2 of 2 captures" in told
         assert written_ns(tmp_path / "run") == stamps
         assert (tmp_path / "run" / "train" / "weights.safetensors").read_bytes() == weights
         assert run_cli("depth", str(simulated), "--run", str(tmp_path / "run"), "--bokeh", "--quiet") == 0

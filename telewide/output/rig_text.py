@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 
 from telewide.calibration.quality import CalibrationQuality, Check
-from telewide.calibration.result import CameraStd
+from telewide.calibration.result import CameraStd, TransformStd
 from telewide.calibration.rig_file import StoredRig
 from telewide.geometry.rig import Camera, StereoRig
 
@@ -124,7 +125,8 @@ def _cameras(stored: StoredRig) -> list[tuple[str, str]]:
 
 def _between(stored: StoredRig) -> list[tuple[str, str]]:
     rig, std = stored.rig, stored.transform_std
-    rows = [("f_tele / f_wide", f"{rig.asymmetry:.4f}"), ("turn between them", f"{rig.turn_deg:.3f} degrees")]
+    turn = _plus_minus(rig.turn_deg, None if std is None else _turn_std_deg(rig, std), "degrees", decimals=3)
+    rows = [("f_tele / f_wide", f"{rig.asymmetry:.4f}"), ("turn between them", turn)]
     if rig.is_scale_known:
         baseline = _plus_minus(rig.baseline_m * 1e3, _thousand(std.baseline_m if std else None), "mm", decimals=2)
         unverified = "as stated" if stored.facts.source == "scenes" else "nominal"
@@ -133,6 +135,16 @@ def _between(stored: StoredRig) -> list[tuple[str, str]]:
     else:
         rows.append(("baseline", "not known in metres"))
     return rows
+
+
+def _turn_std_deg(rig: StereoRig, std: TransformStd) -> float:
+    """Of the angle of the turn: what the small turns are uncertain by about its own axis."""
+    turn = cv2.Rodrigues(rig.wide_from_tele[:3, :3])[0].ravel()
+    angle_rad = float(np.linalg.norm(turn))
+    if angle_rad == 0:  # no axis: as much as about any of the three
+        return float(std.rotation_deg.max())
+    axis = turn / angle_rad
+    return math.degrees(math.sqrt(axis @ std.covariance[:3, :3] @ axis))
 
 
 def _quality(stored: StoredRig) -> list[tuple[str, str]]:
@@ -152,7 +164,7 @@ def _quality(stored: StoredRig) -> list[tuple[str, str]]:
 
 def _origin(stored: StoredRig) -> list[tuple[str, str]]:
     facts = stored.facts
-    focus = f"{facts.focus_distance_m:g} m" if facts.focus_distance_m is not None else None
+    focus = f"{facts.focus_distance_m:.3g} m" if facts.focus_distance_m is not None else None
     named = (
         ("made from", facts.source if facts.board is None else f"{facts.source}, {facts.board}"),
         ("images", facts.image_pipeline),

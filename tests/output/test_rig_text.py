@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
+import pytest
 from output.made_calibration import CHECKS, DROPPED_REASON, made_calibration
 
 from telewide.calibration.result import CameraStd
 from telewide.calibration.rig_file import RigFacts, StoredRig
-from telewide.geometry.rig import Camera
+from telewide.geometry.rig import Camera, rigid_transform
 from telewide.output.rig_text import distortion_words, rig_lines, summary_line
 
 
@@ -47,7 +49,7 @@ def test_numbers_come_with_their_uncertainty() -> None:
     for words in ("usable", "raw:Maker One", "1.5 m", "chessboard_9x6", DROPPED_REASON, "squares are nominal"):
         assert words in text
     turn_deg = np.degrees(np.hypot(0.01, 0.002))
-    assert f"{turn_deg:.3f} degrees" in text
+    assert f"{turn_deg:.3f} ± {np.degrees(1e-4):.3f} degrees" in text
     assert CHECKS[1].advice in text
     assert "pass  joint views: 12 shots, at least 8 shots" in text
     assert "warn  coverage of <wide>: 41 %, at least 60 %" in text
@@ -72,6 +74,30 @@ def test_nominal_and_unknown_scale_are_said() -> None:
     unknown = "\n".join(rig_lines(stored_rig(is_scale_known=False)))
     assert "not known in metres" in unknown
     assert " mm" not in unknown
+
+
+def test_the_turn_is_as_sure_as_the_turns_about_its_own_axis(rng: np.random.Generator) -> None:
+    stored = stored_rig()
+    assert stored.transform_std is not None
+    spread = rng.normal(size=(6, 6)) * 3e-4
+    std = dataclasses.replace(stored.transform_std, covariance=spread @ spread.T)
+    text = "\n".join(rig_lines(dataclasses.replace(stored, transform_std=std)))
+    small = rng.multivariate_normal(np.zeros(3), std.covariance[:3, :3], size=4000)
+    turned = [
+        dataclasses.replace(
+            stored.rig, wide_from_tele=rigid_transform(rotation=by, translation=np.zeros(3)) @ stored.rig.wide_from_tele
+        )
+        for by in small
+    ]
+    found = re.search(r"± ([0-9.]+) degrees", text)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(np.std([rig.turn_deg for rig in turned]), rel=0.06)
+
+
+def test_a_distance_of_exif_has_three_figures() -> None:
+    stored = stored_rig()
+    text = rig_lines(dataclasses.replace(stored, facts=dataclasses.replace(stored.facts, focus_distance_m=0.877962)))
+    assert any(re.fullmatch(r"focused at +0\.878 m", line) for line in text)
 
 
 def test_what_nobody_knows_is_left_out() -> None:
