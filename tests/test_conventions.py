@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from PIL import Image
 from rigs import in_wide, phone, points_in_view
 from source import Module, at, calls, functions, identifiers, module_from_text, modules, parameters
 
@@ -24,6 +25,7 @@ from telewide.capture.images import read_image, read_pfm, resize_bicubic, write_
 from telewide.correction.unrectify import disparity_on_tele
 from telewide.geometry.camera import scaled_intrinsics, scaled_points
 from telewide.geometry.rectification import rectified_geometry
+from telewide.geometry.rig import StereoRig
 from telewide.geometry.stereo import DisparityMap, depth_from_disparity, resize_disparity
 from telewide.simulate.degrade import shrink_and_enlarge
 
@@ -122,6 +124,48 @@ def test_convention_points_are_x_y() -> None:
     fields = Matches(ref_px=np.array([[90.0, 30.0]]), src_px=np.array([[80.0, 29.0]]))
     np.testing.assert_allclose(fields.disparity_px, [10.0])
     np.testing.assert_allclose(fields.vertical_px, [1.0])
+
+
+def test_convention_points_count_on_the_photo_as_read(tmp_path: Path) -> None:
+    from telewide.capture.pair import find_captures
+    from telewide.errors import UsageError
+    from telewide.output.bokeh_picture import BokehOptions, check_bokeh
+
+    stored = np.zeros((40, 60, 3), np.uint8)
+    stored[:8, 52:] = 255  # top right; turned clockwise it comes to the bottom right
+    turned_clockwise = Image.Exif()
+    turned_clockwise[0x0112] = 6
+    for name, levels in (("tele", stored), ("wide", 255 - stored)):
+        (tmp_path / "one").mkdir(exist_ok=True)
+        Image.fromarray(levels).save(tmp_path / "one" / f"{name}.jpg", exif=turned_clockwise, quality=95)
+    (tmp_path / "captures.yaml").write_text("rotated_deg: 90\n")
+    captures = find_captures(tmp_path)
+    photo = read_image(captures.captures[0].tele_path)
+    assert photo.shape == (60, 40, 3)
+    np.testing.assert_allclose(photo[56, 36], 1.0, atol=0.02)
+    check_bokeh(BokehOptions(focus="39,59"), captures)
+    with pytest.raises(UsageError, match="outside the tele photo of 40 x 60 px"):
+        check_bokeh(BokehOptions(focus="59,39"), captures)
+
+
+def test_convention_rotated_deg_is_counter_clockwise(tmp_path: Path, rng: np.random.Generator) -> None:
+    from telewide.capture.facts import read_facts
+    from telewide.output.depth import depth_result
+    from telewide.output.export import write_depth
+
+    photo = rng.random((48, 64, 3)).astype(np.float32)
+    disparity_px = np.linspace(2, 9, 48 * 64, dtype=np.float32).reshape(48, 64)
+    for folder, turn in (("0", lambda image: image), ("90", lambda image: cv2.rotate(image, 2))):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "captures.yaml").write_text(f"rotated_deg: {folder}\n")
+        given_px, known = turn(disparity_px), np.ones(turn(disparity_px).shape, np.bool_)
+        disparity = DisparityMap(given_px, known.astype(np.float32), known)
+        result = depth_result("shot", disparity, facts=read_facts(tmp_path / folder / "captures.yaml"))
+        write_depth(tmp_path / folder, result, image=turn(photo))
+        np.testing.assert_array_equal(read_pfm(tmp_path / folder / "disparity.pfm"), given_px)
+    assert cv2.ROTATE_90_COUNTERCLOCKWISE == 2
+    upright, turned_back = (read_image(tmp_path / folder / "preview.png") for folder in ("0", "90"))
+    np.testing.assert_allclose(turned_back, upright, atol=0.01)
 
 
 def test_convention_sizes_are_hw_or_wh() -> None:
@@ -359,6 +403,45 @@ def test_convention_depth_of_a_photo_is_along_its_own_axis() -> None:
     on_tele = disparity_on_tele(DisparityMap(disparity_px, known.astype(np.float32), known), geometry=geometry)
     depth_m = rig.tele.K[0, 0] * rig.baseline_m / on_tele.disparity_px
     np.testing.assert_allclose(depth_m[1:-1, 1:-1], 2.0, rtol=1e-3)
+
+
+def test_convention_truth_is_disparity_on_the_tele_photo(tmp_path: Path) -> None:
+    from telewide.capture.pair import find_captures, read_truth
+    from telewide.simulate.captures import write_captures
+    from telewide.simulate.phone import write_phone
+
+    write_captures(tmp_path / "pairs", count=1, seed=4, hw=(160, 240), factor=2)
+    rig = write_phone(tmp_path, captures=1, boards=0, seed=4, width=480, moves=False, cast=False)
+    places = {"pairs": lambda x, y, d_px: (x - d_px, y), "captures": lambda x, y, d_px: _seen_by_wide(x, y, d_px, rig)}
+    for folder, place_in_wide in places.items():
+        (capture,) = find_captures(tmp_path / folder).captures
+        tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
+        if folder == "pairs":
+            wide = resize_bicubic(wide, wh=(tele.shape[1], tele.shape[0]))
+        truth_px = read_truth(capture, hw=tele.shape[:2])
+        assert truth_px is not None
+        rows, columns = np.indices(truth_px.shape).astype(np.float32)
+        soft = cv2.GaussianBlur(tele, (0, 0), 2.0)  # about as soft as wide
+        missed = []
+        for share in (1.0, 0.8, 1.2):
+            x, y = place_in_wide(columns, rows, share * truth_px)
+            seen = cv2.remap(wide, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
+            missed.append(float(np.mean(np.abs(seen - soft))))
+        assert missed[0] < 0.8 * min(missed[1:]), folder
+        truth_px[3, 5] = np.nan
+        write_pfm(tmp_path / folder / capture.name / "truth.pfm", truth_px)
+        np.testing.assert_array_equal(read_truth(capture), truth_px)
+
+
+def _seen_by_wide(
+    x: NDArray[np.float32], y: NDArray[np.float32], disparity_px: NDArray[np.float32], rig: StereoRig
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where wide sees what tele sees at (x, y), by the depth that a disparity on the tele photo stands for."""
+    depth_m = rig.tele.K[0, 0] * rig.baseline_m / disparity_px.astype(np.float64)
+    rays = rig.tele.normalised(np.column_stack([x.ravel(), y.ravel()]))
+    points_m = np.column_stack([rays, np.ones(len(rays))]) * depth_m.reshape(-1, 1)
+    seen_px = rig.wide.project(in_wide(rig, points_m))
+    return seen_px[:, 0].reshape(x.shape), seen_px[:, 1].reshape(x.shape)
 
 
 def test_convention_in_front_is_positive() -> None:

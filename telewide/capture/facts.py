@@ -40,7 +40,7 @@ class CaptureFacts:
         rectified: whether corresponding points lie on the same row.
         asymmetry: focal length of tele over that of wide, in pixels of the photos as captured, >= 1.
         reference: the view the depth is for; always tele so far.
-        rotated_deg: how far the photos were turned to make the baseline horizontal.
+        rotated_deg: how far the photos were turned counter-clockwise to make the baseline horizontal.
         baseline_m: distance of the two lenses, m.
         f_px: focal length of the rectified reference view, px.
         doffs_px: ``cx_src - cx_ref`` of the rectified views, px.
