@@ -25,7 +25,7 @@ POINT_WINDOW_PX = 2
 SAME_SURFACE_PX = 1.0
 SLAB_SHARE, SLAB_MIN_PX = 0.1, 1.0
 """Thickness of the surface that "auto" looks for: a share of the scene's disparities, and at least so many px."""
-SUBJECT_SHARE = 0.15
+SUBJECT_SHARE = 0.12
 """A surface that fills so much of the middle is large enough to be the subject."""
 _SLAB_STEPS = 8
 _MIDDLE = 12
@@ -54,7 +54,7 @@ def find_focus(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> F
         disparity_px: (H, W) float32, px, on the tele photo.
         confidence: (H, W) float32 in [0, 1].
         focus: "X,Y", a point of the tele photo in px; "near" or "far", the nearest or farthest confident surface;
-            "auto", the nearest surface that fills a seventh of the middle of the photo, or else its largest one.
+            "auto", the nearest surface that fills an eighth of the middle of the photo, or else its largest one.
 
     Returns:
         The plane of focus, and a point that lies on it.
