@@ -39,7 +39,7 @@ from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.recipe import Recipe
 from telewide.training.samples import LABELS_PREFIX, labels_path
 
-FORMAT = 4
+FORMAT = 5
 RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
 LABEL_CONFIDENCE = 0.5

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from telewide.capture.rundir import write_text
 
-FORMAT = 1
+FORMAT = 2
 KEPT_NAME = "depth.json"
 
 
