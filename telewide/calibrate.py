@@ -27,6 +27,7 @@ from telewide.calibration.solve import calibrate_rig
 from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.correction.rectify import rectify_pair
+from telewide.counted import counted
 from telewide.errors import InputError, TelewideError
 from telewide.geometry.stereo import FloatMap
 from telewide.output.report import NextStep
@@ -108,7 +109,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
         InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
     """
     shots = find_board_shots(boards)
-    observer.said(f"{len(shots)} shots in {boards}")
+    observer.said(f"{counted(len(shots), 'shot')} in {boards}")
     pipeline = common_pipeline(_paths(shots))
     chosen = _chosen_board(shots, options, observer)
     tick = observer.detecting(len(shots))

@@ -41,6 +41,7 @@ from telewide.correction.scene_quality import (
 from telewide.correction.scene_rig import FocalPrior, SceneRig, SceneStd, Side
 from telewide.correction.scenes import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
 from telewide.correction.shot import fit_shot, refined_rig
+from telewide.counted import counted
 from telewide.errors import InputError, TelewideError
 from telewide.geometry.rig import Camera
 from telewide.geometry.stereo import FloatMap
@@ -132,7 +133,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
     problems = tuple(_spoken(problem) for problem in found.problems)
     if not found.captures:
         raise InputError(f"{captures}: no capture can be used" + "".join(f"\n  {line}" for line in problems))
-    observer.said(f"{len(found.captures)} captures in {captures}")
+    observer.said(f"{counted(len(found.captures), 'capture')} in {captures}")
     pipeline = common_pipeline(path for capture in found.captures for path in (capture.tele_path, capture.wide_path))
     focal_mm = options.f35_mm or _stated_f35_mm(captures, found.captures)
     matched = _matched(found.captures, focal_mm=focal_mm, tick=observer.detecting(len(found.captures)))
