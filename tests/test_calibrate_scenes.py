@@ -129,7 +129,7 @@ def test_a_crop_of_wide_has_no_say(tmp_path: Path, capsys: pytest.CaptureFixture
         write_stating(tmp_path / name / "tele.jpg", **tele)
         write_stating(tmp_path / name / "wide.jpg", **WIDE)
     assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3  # nothing matches in noise
-    assert "1 captures" in capsys.readouterr().err
+    assert "1 capture in" in capsys.readouterr().err
     write_stating(tmp_path / "one" / "tele.jpg", **cropped)
     assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3
     told = capsys.readouterr().err
