@@ -187,6 +187,8 @@ def _prepare_pair(
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is not None:
         return kept
+    if rig is None and not facts.rectified:
+        _refuse_to_lose_the_rig(folder, key)
     (pair, scale), alignment = _rectified(capture, facts, recipe=recipe, rig=rig)
     matches = find_matches(pair.tele, pair.wide)
     focal_lengths_mm = (focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path))
@@ -230,6 +232,21 @@ def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
     """Add sentences to the reasons of a report, whatever its verdict; a good one is then usable."""
     verdict = "usable" if doubts and report.verdict == "good" else report.verdict
     return dataclasses.replace(report, verdict=verdict, reasons=(*report.reasons, *doubts))
+
+
+def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
+    """Photos that a rig once rectified are no less in need of it where it is not found any more."""
+    try:
+        former = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))["key"]
+        are_the_same = all(former[name] == key[name] for name in ("tele_sha256", "wide_sha256"))
+        had_rig = former["rig"] is not None
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    if had_rig and are_the_same:
+        raise InputError(
+            "these photos were rectified with a rig, which is not found any more",
+            hint=f"name it with --rig; if none is wanted, remove {folder}",
+        )
 
 
 def _rectified(

@@ -136,6 +136,17 @@ def test_an_alignment_survives_its_file(phone: Path, stored: StoredRig) -> None:
         )
 
 
+def test_a_rig_that_is_not_found_any_more_is_missed(phone: Path, stored: StoredRig, tmp_path: Path) -> None:
+    """Photos that were rectified with it are not taken for rectified ones."""
+    captures, run, recipe = find_captures(phone / "captures"), RunFolder(tmp_path), load_recipe("default")
+    first = dataclasses.replace(captures, captures=captures.captures[:1])
+    made = prepare_captures(first, run, recipe=recipe, rig=stored).pairs[0].capture.tele_path.read_bytes()
+    with pytest.raises(InputError, match="not found any more"):
+        prepare_captures(first, run, recipe=recipe)
+    again = prepare_captures(first, run, recipe=recipe, rig=stored).pairs[0].capture.tele_path
+    assert again.read_bytes() == made
+
+
 def test_a_rig_is_found_by_the_captures_or_named(phone: Path, tmp_path: Path) -> None:
     captures = find_captures(phone / "captures")
     assert locate_rig(None, captures) is not None  # beside the captures
