@@ -35,7 +35,7 @@ from telewide.output.bokeh_picture import BokehOptions, check_bokeh
 from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
 from telewide.output.metric import DepthPrecision
 from telewide.page import report_row, write_page
-from telewide.prepare import PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
+from telewide.prepare import RECORD_NAME, PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
 from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
 from telewide.training.processes import Processes, joined_processes
 
@@ -193,7 +193,7 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
 
 
 def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
-    path = locate_run(run, captures_root).train / "training.json"
+    path = locate_run(run, captures_root).training_record
     if not path.is_file():
         return load_recipe(DEFAULT_RECIPE)
     try:
@@ -404,7 +404,7 @@ def _depth_key(
     truth = item.source.truth_path
     return {
         "version": metadata.version("telewide"),
-        "pair_sha256": fingerprint(item.capture.tele_path.with_name("pair.json")),
+        "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
         "truth_sha256": None if truth is None else fingerprint(truth),
         "matcher": matcher.key,
         "window": None if matcher.window else prepared.window,

@@ -20,6 +20,7 @@ import torch
 
 from telewide.capture.pair import Capture, PairReader
 from telewide.capture.rundir import RunFolder, write_text
+from telewide.cores import usable_cores
 from telewide.correction.held_out import HeldOut
 from telewide.counted import counted
 from telewide.errors import InputError, UsageError
@@ -45,7 +46,6 @@ from telewide.training.samples import CropArea, SampleSource
 from telewide.training.stages import Stage, plan_stages
 
 FORMAT = 1
-RECORD_NAME = "training.json"
 LOG_EVERY_STEPS = 10
 FEWEST_TO_HOLD_OUT = 5
 """With fewer captures a strip of each is held out instead of whole ones."""
@@ -188,7 +188,7 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
     Raises:
         InputError: the file is damaged.
     """
-    path = run.train / RECORD_NAME
+    path = run.training_record
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         first, end = content["window"]
@@ -305,8 +305,7 @@ def _workers(device: torch.device) -> int:
     """One process prepares batches beside two computing cores; a GPU is fed by more, out of its share of the cores."""
     if device.type == "cpu":
         return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
-    return min(8, max(1, cores // int(os.environ.get("LOCAL_WORLD_SIZE", "1")) - 1))
+    return min(8, max(1, usable_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")) - 1))
 
 
 def _outcome(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
@@ -331,7 +330,7 @@ def _write_record(run: RunFolder, record: TrainingRecord) -> None:
         "held_out": list(record.held_out),
         "judged": list(record.judged),
     }
-    write_text(run.train / RECORD_NAME, json.dumps(content, indent=2) + "\n")
+    write_text(run.training_record, json.dumps(content, indent=2) + "\n")
 
 
 def _drop_log_after(path: Path, *, stage_index: int, step: int) -> None:

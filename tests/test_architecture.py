@@ -20,6 +20,7 @@ LAYERS = {
     "options": 0,
     "assets": 0,
     "command_line": 0,
+    "cores": 0,
     "counted": 0,
     "json_text": 0,
     "metrics": 0,

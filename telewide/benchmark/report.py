@@ -11,6 +11,7 @@ from importlib import metadata
 from pathlib import Path
 
 from telewide.capture.rundir import write_text
+from telewide.cores import usable_cores
 from telewide.json_text import json_text
 
 FORMAT = 1
@@ -41,7 +42,7 @@ def describe_machine() -> dict[str, object]:
     return {
         "system": platform.platform(),
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": usable_cores(),
         "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},

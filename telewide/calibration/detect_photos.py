@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from telewide.calibration.boards import Board
 from telewide.calibration.detect import BoardView, detect_board
 from telewide.capture.images import read_image
+from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 
 MAX_PROCESSES = 8
@@ -101,5 +101,4 @@ def _detect_photo(path: Path, board: Board) -> PhotoResult:
 
 
 def _n_cores() -> int:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, MAX_PROCESSES)
+    return min(usable_cores(), MAX_PROCESSES)

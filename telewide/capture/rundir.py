@@ -65,6 +65,11 @@ class RunFolder:
         return self.train / WEIGHTS_NAME
 
     @property
+    def training_record(self) -> Path:
+        """Recipe, window and captures that the training was begun with."""
+        return self.train / "training.json"
+
+    @property
     def training_log(self) -> Path:
         """Losses and judgements of the training, one JSON object a line."""
         return self.train / "log.jsonl"
