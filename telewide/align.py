@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.assets import find_yaml
 from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
 from telewide.capture.exif import least_seconds_between, read_photo_facts
 from telewide.capture.pair import Capture, CaptureSet, PhotoPair
@@ -115,15 +116,15 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
         captures: the set.
 
     Returns:
-        The named rig; or ``rig.yaml`` in the captures' folder, in one of the two above it, or in the working folder;
-        None where there is none, or where captures.yaml states that the captures are rectified.
+        The named rig; or ``rig.yaml`` (or ``rig.yml``) in the captures' folder, in one of the two above it, or in the
+        working folder; None where there is none, or where captures.yaml states that the captures are rectified.
 
     Raises:
         UsageError: the named file does not exist, or the captures are stated to be rectified.
         InputError: it is no rig.
     """
     folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
-    lying = next((folder / RIG_FILE for folder in folders if (folder / RIG_FILE).is_file()), None)
+    lying = next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
     if captures.facts.rectified:
         if stated is not None:
             raise UsageError(

@@ -10,11 +10,12 @@ import difflib
 from pathlib import Path
 from typing import Literal
 
-from telewide.errors import UsageError
+from telewide.errors import InputError, UsageError
 
 AssetKind = Literal["pipelines", "calib"]
 
-_SUFFIXES = (".yaml", ".yml")
+YAML_SUFFIXES = (".yaml", ".yml")
+"""In any letter case."""
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -32,12 +33,13 @@ def find_asset(kind: AssetKind, name: str) -> Path:
         UsageError: there is no such file; the message lists the known names and the nearest one.
     """
     explicit = Path(name).expanduser()
-    if explicit.suffix in _SUFFIXES and explicit.is_file():
+    if is_yaml(explicit) and explicit.is_file():
         return explicit
     for folder in _folders(kind):
-        for candidate in (folder / name, *(folder / f"{name}{suffix}" for suffix in _SUFFIXES)):
-            if candidate.suffix in _SUFFIXES and candidate.is_file():
-                return candidate
+        if is_yaml(folder / name) and (folder / name).is_file():
+            return folder / name
+        if found := find_yaml((folder / name).parent, (folder / name).name):
+            return found
     known = list_assets(kind)
     nearest = difflib.get_close_matches(name, known, n=1)
     raise UsageError(
@@ -59,9 +61,38 @@ def list_assets(kind: AssetKind) -> tuple[str, ...]:
         path.relative_to(folder).with_suffix("").as_posix()
         for folder in _folders(kind)
         for path in folder.rglob("*")
-        if path.suffix in _SUFFIXES and path.is_file()
+        if is_yaml(path) and path.is_file()
     }
     return tuple(sorted(names))
+
+
+def is_yaml(path: Path | str) -> bool:
+    """Tell whether a path is named like a YAML file, in any letter case."""
+    return Path(path).suffix.lower() in YAML_SUFFIXES
+
+
+def find_yaml(folder: Path, stem: str) -> Path | None:
+    """Find the YAML file of a name, whatever its suffix and letter case: captures.yaml, Captures.YML.
+
+    Args:
+        folder: where it may lie; need not exist.
+        stem: its name without suffix.
+
+    Returns:
+        The file; None where there is none.
+
+    Raises:
+        InputError: there are several, which may contradict each other.
+    """
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError:  # not there; or a folder that may be entered, not listed
+        entries = [folder / f"{stem}.yaml"]
+    found = [path for path in entries if is_yaml(path) and path.stem.casefold() == stem.casefold() and path.is_file()]
+    if len(found) > 1:
+        names = " and ".join(path.name for path in found)
+        raise InputError(f"{folder} holds {names}; one of them was expected", hint="keep the one that is right")
+    return found[0] if found else None
 
 
 def _folders(kind: AssetKind) -> tuple[Path, ...]:

@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from telewide.assets import find_asset, list_assets
+from telewide.assets import find_asset, is_yaml, list_assets
 from telewide.errors import InputError, UsageError
 from telewide.options import Options, parse_options
 
@@ -110,7 +110,7 @@ def load_board(name: str) -> Board:
         UsageError: there is no such file; the message lists the known boards.
         InputError: the file says something a board cannot have.
     """
-    is_file = name.endswith((".yaml", ".yml"))
+    is_file = is_yaml(name)
     if not is_file and name not in list_boards():
         known = list_boards()
         nearest = difflib.get_close_matches(name, known, n=1)

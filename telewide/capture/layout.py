@@ -18,10 +18,11 @@ import filecmp
 import re
 import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from telewide.assets import find_yaml
 from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
 from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
 from telewide.errors import InputError, UsageError
@@ -29,7 +30,8 @@ from telewide.errors import InputError, UsageError
 # Of two files for one view the one that lost less is taken.
 _SUFFIX_ORDER = (*sorted(RAW_SUFFIXES), ".tif", ".tiff", ".png", *sorted(HEIF_SUFFIXES), ".jpg", ".jpeg")
 _TRUTH_SUFFIX = ".pfm"
-_VIEWS = ("tele", "wide")
+VIEWS = ("tele", "wide")
+TRUTH = "truth"
 _MAX_LISTED = 5
 _ROLE_SUFFIX = re.compile(
     r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))", re.IGNORECASE
@@ -110,7 +112,9 @@ def find_captures(folder: Path) -> CaptureSet:
     captures, problems = _choose(candidates)
     if not captures:
         raise _nothing_found(folder, problems)
-    return CaptureSet(folder, tuple(captures), read_facts(_facts_path(folder, captures)), tuple(problems))
+    facts_path = _facts_path(folder, captures)
+    facts = CaptureFacts() if facts_path is None else read_facts(facts_path)
+    return CaptureSet(folder, tuple(captures), facts, tuple(problems))
 
 
 def _candidates(folder: Path) -> _Candidates:
@@ -118,21 +122,63 @@ def _candidates(folder: Path) -> _Candidates:
     own_name = _normal(folder.resolve().name) or "capture"
     for entry in _visible(folder):
         role = entry.name.casefold()
-        if entry.is_dir() and role in {*_VIEWS, "truth"}:
+        if entry.is_dir() and role in {*VIEWS, TRUTH}:
             for file in _files(entry):
                 found[_normal(file.stem), "split"][role].append(file)
         elif entry.is_dir():
             _add_capture_folder(found, entry)
         elif _is_photo_or_truth(entry):
             _add_file(found, entry, own_name)
-    return found
+    return _joined_by_case(found)
+
+
+def _joined_by_case(found: _Candidates) -> _Candidates:
+    """Put photos together that miss each other by letter case alone; folders of captures are told apart by it."""
+    joined: _Candidates = {}
+    for layout in ("folder", "split", "suffix"):
+        groups = {name: roles for (name, of), roles in found.items() if of == layout}
+        by_name = groups if layout == "folder" else joined_by_case(groups)
+        joined |= {(name, layout): roles for name, roles in by_name.items()}
+    return joined
+
+
+def joined_by_case(groups: Mapping[str, dict[str, list[Path]]]) -> dict[str, dict[str, list[Path]]]:
+    """Join groups of files whose names differ by letter case alone, where the files of one are missing in the other.
+
+    Args:
+        groups: by name: files by role, tele and wide among the roles. What has both is whole.
+
+    Returns:
+        The groups; of those of one name but for the case all that are not whole make one, which goes to the whole one
+        if it brings nothing but a truth.
+    """
+    by_fold: dict[str, list[str]] = defaultdict(list)
+    for name in sorted(groups):
+        by_fold[name.casefold()].append(name)
+    joined: dict[str, dict[str, list[Path]]] = {}
+    for names in by_fold.values():
+        whole = [name for name in names if all(groups[name].get(view) for view in VIEWS)]
+        parts = [name for name in names if name not in whole]
+        joined |= {name: groups[name] for name in whole}
+        if not parts:
+            continue
+        roles: dict[str, list[Path]] = defaultdict(list)
+        for name in parts:
+            for role, files in groups[name].items():
+                roles[role] += files
+        named_for_tele = next((name for name in parts if groups[name].get("tele")), parts[0])
+        if len(whole) == 1 and set(roles) == {TRUTH}:
+            joined[whole[0]] = {**roles, **groups[whole[0]]}
+        else:
+            joined[named_for_tele] = roles
+    return joined
 
 
 def _add_capture_folder(found: _Candidates, folder: Path) -> None:
     key, files = (_normal(folder.name), "folder"), _files(folder)
     for file in files:
         role = file.stem.casefold()
-        if role in {*_VIEWS, "truth"}:
+        if role in {*VIEWS, TRUTH}:
             found[key][role].append(file)
     if key not in found and any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
         found[key]["unnamed"].extend(files)
@@ -140,7 +186,7 @@ def _add_capture_folder(found: _Candidates, folder: Path) -> None:
 
 def _add_file(found: _Candidates, file: Path, own_name: str) -> None:
     stem = _normal(file.stem)
-    if stem.casefold() in {*_VIEWS, "truth"}:
+    if stem.casefold() in {*VIEWS, TRUTH}:
         found[own_name, "folder"][stem.casefold()].append(file)
     elif match := _ROLE_SUFFIX.fullmatch(stem):
         found[match["name"], "suffix"][_role(match)].append(file)
@@ -165,7 +211,7 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
             problems.append(Problem(name, message))
             continue
         tele, wide = _best_pair(roles)
-        for view, taken in zip(_VIEWS, (tele, wide), strict=True):
+        for view, taken in zip(VIEWS, (tele, wide), strict=True):
             problems += _ambiguities(name, view, taken, roles[view])
         captures[name] = Capture(name, tele, wide, _truth(roles))
     return list(captures.values()), problems
@@ -174,7 +220,7 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
 def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
     if "unnamed" in roles:
         return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
-    for view, other in (_VIEWS, _VIEWS[::-1]):
+    for view, other in (VIEWS, VIEWS[::-1]):
         if not _photos(roles.get(view, [])):
             present = roles.get(other) or roles.get("truth") or []
             return f"the {view} view is missing; found {_listed(present)}"
@@ -186,7 +232,7 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
 
 def _best_pair(roles: dict[str, list[Path]]) -> tuple[Path, Path]:
     """Return the files that lost least; where there is a choice both RAW or neither, whose distortion differs."""
-    tele, wide = (_photos(roles[view]) for view in _VIEWS)
+    tele, wide = (_photos(roles[view]) for view in VIEWS)
     if _is_raw(tele[0]) != _is_raw(wide[0]):
         tele, wide = ([path for path in paths if not _is_raw(path)] or paths for paths in (tele, wide))
     return tele[0], wide[0]
@@ -233,11 +279,11 @@ def is_same_file(first: Path, second: Path) -> bool:
         return False
 
 
-def _facts_path(folder: Path, captures: list[Capture]) -> Path:
-    """Return the facts of this folder; of one capture taken out of a set, those of the set."""
-    own, above = folder / FACTS_FILE, folder.absolute().parent / FACTS_FILE
+def _facts_path(folder: Path, captures: list[Capture]) -> Path | None:
+    """Return the facts of this folder; of one capture taken out of a set, those of the set; None without any."""
+    stem = Path(FACTS_FILE).stem
     is_one_of_a_set = len(captures) == 1 and captures[0].tele_path.parent == folder
-    return above if is_one_of_a_set and not own.exists() else own
+    return find_yaml(folder, stem) or (find_yaml(folder.absolute().parent, stem) if is_one_of_a_set else None)
 
 
 def _nothing_found(folder: Path, problems: list[Problem]) -> InputError:

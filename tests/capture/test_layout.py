@@ -48,6 +48,8 @@ def found(captures: CaptureSet) -> dict[str, tuple[str, str]]:
         ("A_5X.png", "A_1X.png"),
         ("tele/A.jpg", "wide/A.jpg"),
         ("Tele/A.jpg", "WIDE/A.png"),
+        ("tele/A.JPG", "wide/a.jpg"),
+        ("A_tele.jpg", "a_WIDE.jpg"),
     ],
 )
 def test_every_layout(tmp_path: Path, tele: str, wide: str) -> None:
@@ -79,6 +81,30 @@ def test_a_set_does_not_take_the_facts_of_the_folder_above(tmp_path: Path) -> No
     fill(tmp_path, ["set/A/tele.png", "set/A/wide.png"])
     (tmp_path / "captures.yaml").write_text("asymmetry: 3.0\n")
     assert find_captures(tmp_path / "set").facts.asymmetry is None
+
+
+@pytest.mark.parametrize("name", ["captures.yml", "captures.YAML", "Captures.yaml", "CAPTURES.YML"])
+def test_the_facts_are_found_by_any_spelling_of_their_name(tmp_path: Path, name: str) -> None:
+    fill(tmp_path, ["A/tele.png", "A/wide.png"])
+    (tmp_path / name).write_text("asymmetry: 3.0\n")
+    assert find_captures(tmp_path).facts.asymmetry == 3.0
+    assert find_captures(tmp_path / "A").facts.asymmetry == 3.0
+
+
+def test_two_files_of_facts_are_refused(tmp_path: Path) -> None:
+    fill(tmp_path, ["A/tele.png", "A/wide.png"])
+    for name in ("captures.yml", "captures.yaml"):
+        (tmp_path / name).write_text("asymmetry: 3.0\n")
+    with pytest.raises(InputError, match=r"holds captures\.yaml and captures\.yml"):
+        find_captures(tmp_path)
+
+
+def test_names_that_differ_by_case_stay_two_captures_where_both_are_whole(tmp_path: Path) -> None:
+    names = ["tele/A.jpg", "wide/A.jpg", "tele/a.jpg", "wide/a.jpg", "b_tele.jpg", "b_wide.jpg", "B_truth.pfm"]
+    captures = find_captures(fill(tmp_path, names))
+    assert [capture.name for capture in captures.captures] == ["A", "a", "b"]
+    assert captures.captures[2].truth_path == tmp_path / "B_truth.pfm"
+    assert captures.problems == ()
 
 
 @pytest.mark.parametrize("truth", ["A/truth.pfm", "A_truth.pfm", "truth/A.pfm"])
