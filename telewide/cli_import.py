@@ -9,6 +9,7 @@ import typer
 
 from telewide.cli_console import JsonOption, QuietOption, bar, print_json
 from telewide.command_line import command_line
+from telewide.counted import counted
 from telewide.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
     from telewide.capture.exif import PhotoFacts
     from telewide.capture.importer import ImportPlan
+    from telewide.capture.lens_choice import ChosenLenses, LensPair
+    from telewide.capture.lenses import Lens
 
 IMPORT_EPILOG = "Example: `telewide import /media/phone/DCIM captures/ --dry-run`"
 _TABLE_WIDTH = 200
@@ -40,7 +43,7 @@ def import_photos(
 ) -> None:
     """Pair the photos of a camera roll by phone, lens and time; a second call adds what is new."""
     from telewide.capture.importer import carry_out, plan_import
-    from telewide.capture.pairing import LensChoice
+    from telewide.capture.lens_choice import LensChoice
 
     for name, value in (("--max-seconds", max_seconds), ("--tele-mm", tele_mm), ("--wide-mm", wide_mm)):
         if value is not None and not value > 0:
@@ -58,7 +61,7 @@ def import_photos(
     if as_json:
         print_json(_json_of(plan, captures, is_dry=dry_run))
     if not quiet:
-        _say_done(plan, captures, is_dry=dry_run)
+        _say_done(plan, dcim, captures, is_dry=dry_run)
 
 
 def _no_pair(dcim: Path, plan: ImportPlan, *, is_shown: bool) -> InputError:
@@ -127,14 +130,33 @@ def _number(value: float | None, form: str = "g") -> str:
     return "-" if value is None else format(value, form)
 
 
-def _say_done(plan: ImportPlan, captures: Path, *, is_dry: bool) -> None:
+def _say_done(plan: ImportPlan, dcim: Path, captures: Path, *, is_dry: bool) -> None:
     done = "would be imported" if is_dry else "imported"
     typer.echo(f"{done} into {captures}: {len(plan.pairs)} new, {len(plan.known)} already there", err=True)
     if plan.unpaired:
         typer.echo(f"left out: {len(plan.unpaired)}", err=True)
+    for lenses in plan.lenses:
+        if lenses.others:
+            _say_lenses(lenses, dcim, captures)
     if not is_dry and plan.pairs:
         typer.echo("next: telewide calibrate boards/  (photos of a board, taken with both lenses)", err=True)
         typer.echo(f"  or without a board: {command_line('calibrate', captures, from_scenes=True)}", err=True)
+
+
+def _say_lenses(lenses: ChosenLenses, dcim: Path, captures: Path) -> None:
+    """Say which lenses were paired, and which call takes the next best ones, whose photos may have a partner here."""
+    chosen, other = lenses.chosen, lenses.others[0]
+    typer.echo(f"{chosen.wide.camera}: {_lens(chosen.tele)} is paired with {_lens(chosen.wide)}", err=True)
+    wide_mm, tele_mm = other.wide.focal_length_mm, other.tele.focal_length_mm
+    folder = captures.with_name(f"{captures.name}-{tele_mm:g}mm-{wide_mm:g}mm")
+    again = command_line("import", dcim, folder, wide_mm=wide_mm, tele_mm=tele_mm)
+    count = counted(other.n_pairs, "pair")
+    typer.echo(f"  {count} of {_lens(other.tele)} and {_lens(other.wide)}, if those are meant: {again}", err=True)
+
+
+def _lens(lens: Lens) -> str:
+    equivalent = f" ({lens.f35_mm:.0f} mm equivalent)" if lens.f35_mm else ""
+    return f"{lens.focal_words}{equivalent}"
 
 
 def _json_of(plan: ImportPlan, captures: Path, *, is_dry: bool) -> dict[str, object]:
@@ -156,7 +178,19 @@ def _json_of(plan: ImportPlan, captures: Path, *, is_dry: bool) -> dict[str, obj
             {**_json_of_photo(one.photo.path, one.photo.facts), "reason": one.reason} for one in plan.unpaired
         ],
         "known": list(plan.known),
+        "lenses": [
+            {
+                "camera": lenses.chosen.wide.camera,
+                "chosen": _json_of_lenses(lenses.chosen),
+                "others": [_json_of_lenses(other) for other in lenses.others],
+            }
+            for lenses in plan.lenses
+        ],
     }
+
+
+def _json_of_lenses(pair: LensPair) -> dict[str, object]:
+    return {"wide_mm": pair.wide.focal_length_mm, "tele_mm": pair.tele.focal_length_mm, "n_pairs": pair.n_pairs}
 
 
 def _json_of_photo(path: Path, facts: PhotoFacts) -> dict[str, object]:

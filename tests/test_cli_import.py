@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,20 @@ def test_an_import_that_fails_has_no_answer(roll: Path, tmp_path: Path) -> None:
     result = run(roll, tmp_path / "taken" / "captures", "--json")
     assert isinstance(result.exception, UsageError)
     assert result.stdout == ""
+
+
+def test_lenses_that_were_not_chosen_are_named_with_the_call_that_takes_them(tmp_path: Path) -> None:
+    dcim = tmp_path / "my DCIM"
+    for k, (name, focal, f35) in enumerate((("U", 2.2, 13), ("W", 6.3, 24), ("T", 7.9, 70), ("L", 18.6, 230))):
+        write_photo(dcim / f"{name}.jpg", exif=exif_of(focal=focal, f35=f35, second=float(k)))
+    told = run(dcim, tmp_path / "captures").stderr
+    assert "Maker Phone 1: 7.9 mm (70 mm equivalent) is paired with 6.3 mm (24 mm equivalent)" in told
+    (line,) = (line for line in told.splitlines() if "if those are meant: " in line)
+    words = shlex.split(line.split("meant: ")[1])
+    assert words[:2] == ["telewide", "import"]
+    taken = json.loads(run(*words[2:], "--json", "--quiet").stdout)
+    assert [pair["tele"]["focal_length_mm"] for pair in taken["pairs"]] == [18.6]
+    assert taken["lenses"][0]["chosen"] == {"wide_mm": 6.3, "tele_mm": 18.6, "n_pairs": 1}
 
 
 def test_no_pair_is_an_error(roll: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import json
 import os
 import re
 import shutil
+import stat
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,8 +21,11 @@ from pathlib import Path
 
 from telewide.capture.damage import why_damaged
 from telewide.capture.exif import PhotoFacts, read_photo_facts
+from telewide.capture.facts import FACTS_FILE
 from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
-from telewide.capture.pairing import LensChoice, RollPair, RollPhoto, Unpaired, pair_photos
+from telewide.capture.layout import TRUTH, VIEWS
+from telewide.capture.lens_choice import ChosenLenses, LensChoice
+from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
 from telewide.capture.rundir import replacing, write_text
 from telewide.errors import InputError, TelewideError, UsageError
 
@@ -30,8 +34,12 @@ PAIR_FILE = "pair.json"
 # Pixel phones: PXL_1.RAW-01.COVER.jpg is the twin of PXL_1.RAW-02.ORIGINAL.dng.
 _TWIN_MARK = re.compile(r"\.RAW-\d+.*$", re.IGNORECASE)
 
-# Name of a file, its bytes: what tells a photo that was imported already.
-_SourceKey = tuple[str, int]
+# Names that mean something else in a folder of captures.
+_TAKEN_NAMES = frozenset({*VIEWS, TRUTH, FACTS_FILE})
+
+# Name of a file, its bytes, when it was taken: what tells a photo that was imported already. Phones count names anew,
+# and all RAW photos of a phone have the same number of bytes.
+_SourceKey = tuple[str, int, str]
 Tick = Callable[[int, int], None]
 
 
@@ -56,11 +64,13 @@ class ImportPlan:
         pairs: to be imported.
         unpaired: photos left where they are, and why.
         known: names of captures there already whose photos are in the roll.
+        lenses: which lenses were paired, one for every camera with two.
     """
 
     pairs: tuple[PlannedPair, ...]
     unpaired: tuple[Unpaired, ...]
     known: tuple[str, ...]
+    lenses: tuple[ChosenLenses, ...] = ()
 
 
 def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | None = None) -> ImportPlan:
@@ -79,15 +89,16 @@ def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | 
         UsageError: there is no such folder, or both are one.
         InputError: there are no photos in it.
     """
-    photos, unread = _read_roll(_photo_files(dcim, captures), tick)
+    files, unread = _photo_files(dcim, captures)
+    photos, damaged = _read_roll(files, tick)
     imported = _imported(captures)
-    known = {name for photo in photos for key in _keys(photo) if (name := imported.get(key))}
-    fresh = [photo for photo in photos if not any(key in imported for key in _keys(photo))]
-    pairs, left = _pair_whole(fresh, choice)
+    known = {photo.path: name for photo in photos for key in _keys(photo) if (name := imported.get(key))}
+    roll = _pair_whole(photos, choice, frozenset(known))
     taken = {entry.name.casefold() for entry in captures.iterdir()} if captures.is_dir() else set()
-    planned = tuple(PlannedPair(_free_name(pair.tele.path, taken), pair) for pair in pairs)
-    unpaired = sorted([*left, *unread], key=lambda one: one.photo.path)
-    return ImportPlan(planned, tuple(unpaired), tuple(sorted(known)))
+    taken |= _TAKEN_NAMES
+    planned = tuple(PlannedPair(_free_name(pair.tele.path, taken), pair) for pair in roll.pairs)
+    unpaired = sorted([*roll.unpaired, *unread, *damaged], key=lambda one: one.photo.path)
+    return ImportPlan(planned, tuple(unpaired), tuple(sorted(set(known.values()))), roll.lenses)
 
 
 def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick: Tick | None = None) -> None:
@@ -130,8 +141,8 @@ def is_imported(folder: Path) -> bool:
         return False
 
 
-def _photo_files(dcim: Path, captures: Path) -> list[Path]:
-    """Return the photos below a folder, without those in the capture folder and without hidden ones."""
+def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]]:
+    """Return the photos below a folder, each once, without hidden ones; and the folders that cannot be opened."""
     if not dcim.exists():
         raise UsageError(f"{dcim} does not exist; the folder with the phone's photos was expected")
     if not dcim.is_dir():
@@ -140,14 +151,23 @@ def _photo_files(dcim: Path, captures: Path) -> list[Path]:
         raise UsageError(f"{captures} is a file; a folder for the captures was expected")
     if dcim.resolve() == captures.resolve():
         raise UsageError(f"{dcim} is both where photos come from and where captures go", hint="name two folders")
-    files = []
-    for folder, below, names in os.walk(dcim):
-        own = captures.resolve()
-        below[:] = sorted(n for n in below if not n.startswith(".") and (Path(folder) / n).resolve() != own)
-        files += [Path(folder) / name for name in sorted(names) if _is_photo_name(name)]
+    files: dict[Path, Path] = {}
+    closed: list[Unpaired] = []
+
+    def tell(error: OSError) -> None:
+        reason = f"the folder cannot be opened: {error.strerror or error}"
+        closed.append(Unpaired(RollPhoto(Path(error.filename), PhotoFacts("unknown")), reason))
+
+    entered = {captures.resolve(), dcim.resolve()}
+    for folder, below, names in os.walk(dcim, onerror=tell, followlinks=True):
+        places = {name: (Path(folder) / name).resolve() for name in sorted(below) if not name.startswith(".")}
+        below[:] = [name for name, place in places.items() if place not in entered]
+        entered |= set(places.values())
+        for name in sorted(filter(_is_photo_name, names)):
+            files.setdefault((Path(folder) / name).resolve(), Path(folder) / name)
     if not files:
         raise InputError(f"{dcim} holds no photos", hint="name the folder of the camera roll, often called DCIM")
-    return files
+    return list(files.values()), closed
 
 
 def _is_photo_name(name: str) -> bool:
@@ -173,17 +193,17 @@ def _read_roll(files: Sequence[Path], tick: Tick | None) -> tuple[list[RollPhoto
     return list(_joined_twins(photos)), unread
 
 
-def _pair_whole(photos: Sequence[RollPhoto], choice: LensChoice) -> tuple[tuple[RollPair, ...], list[Unpaired]]:
+def _pair_whole(photos: Sequence[RollPhoto], choice: LensChoice, known: frozenset[Path]) -> PairedRoll:
     """Pair photos whose files are whole; a damaged one leaves its place to the next."""
     whole: set[Path] = set()
     damaged: list[Unpaired] = []
     candidates = list(photos)
     while True:
-        pairs, left = pair_photos(candidates, choice=choice)
-        chosen = [photo for pair in pairs for photo in (pair.tele, pair.wide) if photo.path not in whole]
+        roll = pair_photos(candidates, choice=choice, known=known)
+        chosen = [photo for pair in roll.pairs for photo in (pair.tele, pair.wide) if photo.path not in whole]
         found = [Unpaired(one, reason) for one in chosen if (reason := why_damaged(one.path, one.facts))]
         if not found:
-            return pairs, [*left, *damaged]
+            return dataclasses.replace(roll, unpaired=(*roll.unpaired, *damaged))
         damaged += found
         whole |= {one.path for one in chosen}
         lost = {one.photo.path for one in damaged}
@@ -215,7 +235,11 @@ def _completed(facts: PhotoFacts, other: PhotoFacts) -> PhotoFacts:
 
 def _keys(photo: RollPhoto) -> list[_SourceKey]:
     both = (photo, photo.twin) if photo.twin else (photo,)
-    return [(one.path.name, one.path.stat().st_size) for one in both]
+    return [(one.path.name, one.path.stat().st_size, _when(one.facts)) for one in both]
+
+
+def _when(facts: PhotoFacts) -> str:
+    return facts.taken.isoformat() if facts.taken else ""
 
 
 def _imported(captures: Path) -> dict[_SourceKey, str]:
@@ -225,7 +249,8 @@ def _imported(captures: Path) -> dict[_SourceKey, str]:
         try:
             record = json.loads(path.read_text(encoding="utf-8"))
             for view in ("tele", "wide"):
-                found[str(record[view]["source"]), int(record[view]["bytes"])] = path.parent.name
+                source = record[view]
+                found[str(source["source"]), int(source["bytes"]), str(source["taken"] or "")] = path.parent.name
         except (OSError, ValueError, KeyError, TypeError):  # not of this kind: its photos come again
             continue
     return found
@@ -248,12 +273,13 @@ def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> dic
     with replacing(folder / name) as temporary:
         if not (is_linked and _has_linked(source, temporary)):
             shutil.copy2(source, temporary)
+            temporary.chmod(temporary.stat().st_mode | stat.S_IWUSR)  # the copy is the user's, even of a locked photo
     facts = photo.facts
     return {
         "file": name,
         "source": source.name,
         "bytes": source.stat().st_size,
-        "taken": facts.taken.isoformat() if facts.taken else None,
+        "taken": _when(facts) or None,
         "image_pipeline": facts.pipeline,
         "focal_length_mm": facts.focal_length_mm,
         "f35_mm": facts.f35_mm,
@@ -263,7 +289,7 @@ def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> dic
 
 def _has_linked(source: Path, link: Path) -> bool:
     try:
-        os.link(source, link)
+        os.link(source.resolve(), link)  # the photo itself where the roll holds a symbolic link
     except OSError:  # another file system, or one without links
         return False
     return True

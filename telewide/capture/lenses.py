@@ -19,7 +19,10 @@ from telewide.errors import TelewideError
 # Whole millimetres of f35 at 13 mm, and 4:3 against 16:9 of one sensor, stay below; the mildest crop offered is 1.16.
 _CROP_TOLERANCE = 1.12
 _ZOOM_TOLERANCE = 1.05
+# Steps in which one lens states its focal length as it focuses; jumps this large only where f35 stays.
 _SAME_FOCAL = 0.02
+_SAME_LENS_FOCAL = 0.1
+_SAME_F35 = 0.05
 
 
 @dataclass(frozen=True)
@@ -29,17 +32,32 @@ class Lens:
     Attributes:
         camera: make and model.
         focal_length_mm: physical, the smallest that its photos state.
+        longest_focal_mm: the largest: some lenses state another one at every distance of focus.
         crop_35: ``f35 / f`` without digital crop; None where no photo states f35.
+        f35_mm: focal length of equal field of view on 36 x 24 mm, without digital crop; None likewise.
     """
 
     camera: str
     focal_length_mm: float
+    longest_focal_mm: float
     crop_35: float | None
+    f35_mm: float | None
 
     @property
-    def f35_mm(self) -> float | None:
-        """Focal length of equal field of view on 36 x 24 mm."""
-        return None if self.crop_35 is None else self.crop_35 * self.focal_length_mm
+    def focal_words(self) -> str:
+        """The focal lengths that its photos state: "4.25 mm", "13 to 13.8 mm"."""
+        shortest, longest = f"{self.focal_length_mm:.4g}", f"{self.longest_focal_mm:.4g}"
+        is_one = self.longest_focal_mm <= self.focal_length_mm * (1 + _SAME_FOCAL)
+        return f"{shortest} mm" if is_one else f"{shortest} to {longest} mm"
+
+    def is_of(self, focal_length_mm: float, *, tolerance: float = _SAME_FOCAL) -> bool:
+        """Tell whether a focal length is one of this lens's.
+
+        Args:
+            focal_length_mm: physical.
+            tolerance: share by which it may lie beyond what the lens's photos state.
+        """
+        return self.focal_length_mm * (1 - tolerance) <= focal_length_mm <= self.longest_focal_mm * (1 + tolerance)
 
 
 def find_lenses(photos: Iterable[PhotoFacts]) -> tuple[Lens, ...]:
@@ -69,9 +87,9 @@ def lens_of(photo: PhotoFacts, lenses: Sequence[Lens]) -> Lens | None:
     candidates = [lens for lens in lenses if lens.camera == photo.camera]
     if not candidates or photo.focal_length_mm is None:
         return None
-    focal_length_mm = photo.focal_length_mm
-    nearest = min(candidates, key=lambda lens: abs(lens.focal_length_mm - focal_length_mm))
-    return nearest if _is_same_focal(nearest.focal_length_mm, focal_length_mm) else None
+    focal_mm = photo.focal_length_mm
+    nearest = min(candidates, key=lambda lens: max(lens.focal_length_mm - focal_mm, focal_mm - lens.longest_focal_mm))
+    return nearest if nearest.is_of(focal_mm) else None
 
 
 def why_cropped(photo: PhotoFacts, lens: Lens | None) -> str | None:
@@ -86,9 +104,10 @@ def why_cropped(photo: PhotoFacts, lens: Lens | None) -> str | None:
     """
     if photo.digital_zoom_ratio is not None and photo.digital_zoom_ratio > _ZOOM_TOLERANCE:
         return f"a digital crop: DigitalZoomRatio is {photo.digital_zoom_ratio:.2f}"
-    if lens is None or lens.crop_35 is None or photo.crop_35 is None or lens.f35_mm is None:
+    if lens is None or lens.crop_35 is None or lens.f35_mm is None or photo.crop_35 is None or photo.f35_mm is None:
         return None
-    if photo.crop_35 > lens.crop_35 * _CROP_TOLERANCE:
+    # A lens that states several focal lengths changes one of the two without any crop.
+    if photo.crop_35 > lens.crop_35 * _CROP_TOLERANCE and photo.f35_mm > lens.f35_mm * _CROP_TOLERANCE:
         return (
             f"a digital crop of the {photo.focal_length_mm:g} mm lens: {photo.f35_mm:g} mm equivalent, "
             f"where other photos of it have {lens.f35_mm:.0f}"
@@ -128,64 +147,92 @@ def with_checked_lenses(captures: CaptureSet) -> CaptureSet:
 
 def _check_capture(capture: Capture, facts: Mapping[Path, PhotoFacts], lenses: Sequence[Lens]) -> Iterable[Problem]:
     tele, wide = facts[capture.tele_path], facts[capture.wide_path]
-    if fake := _why_fake(tele, wide):
+    is_one_lens = _is_one_lens(tele, wide, lenses)
+    if is_one_lens and (fake := _why_fake(tele, wide)):
         yield Problem(capture.name, f"{capture.tele_path} is no tele photo but {fake}")
         return
     for path, photo in ((capture.tele_path, tele), (capture.wide_path, wide)):
         if reason := why_cropped(photo, lens_of(photo, lenses)):
             yield Problem(capture.name, f"{path} is {reason}; photograph without digital zoom")
             return
-    if doubt := _doubt(tele, wide):
+    if doubt := _doubt(tele, wide, is_one_lens=is_one_lens):
         yield Problem(capture.name, f"{capture.tele_path} and {capture.wide_path} {doubt}", is_skipped=False)
 
 
 def _why_fake(tele: PhotoFacts, wide: PhotoFacts) -> str | None:
     """Tell why a tele photo is a crop of the lens that took the wide one."""
-    if not _is_one_lens(tele, wide) or tele.crop_35 is None or wide.crop_35 is None:
-        return None
-    if tele.crop_35 <= wide.crop_35 * _CROP_TOLERANCE:
+    if tele.f35_mm is None or wide.f35_mm is None or tele.f35_mm <= wide.f35_mm * _CROP_TOLERANCE:
         return None
     return (
-        f"a digital crop of the wide lens: both state {tele.focal_length_mm:g} mm, with {tele.f35_mm:g} and "
-        f"{wide.f35_mm:g} mm equivalent; step back or give more light, so that the phone uses its tele lens"
+        f"a digital crop of the wide lens: {_stated(tele, wide)}, with {tele.f35_mm:g} and {wide.f35_mm:g} mm "
+        "equivalent; step back or give more light, so that the phone uses its tele lens"
     )
 
 
-def _doubt(tele: PhotoFacts, wide: PhotoFacts) -> str | None:
+def _stated(tele: PhotoFacts, wide: PhotoFacts) -> str:
+    """The focal lengths of two photos of one lens."""
+    if tele.focal_length_mm == wide.focal_length_mm:
+        return f"both state {tele.focal_length_mm:g} mm"
+    return f"they state {tele.focal_length_mm:g} and {wide.focal_length_mm:g} mm"
+
+
+def _doubt(tele: PhotoFacts, wide: PhotoFacts, *, is_one_lens: bool) -> str | None:
     if "unknown" not in (tele.camera, wide.camera) and tele.camera != wide.camera:
         return f"were taken with different cameras: {tele.camera}, {wide.camera}"
-    if _is_one_lens(tele, wide):
-        return f"both state a focal length of {tele.focal_length_mm:g} mm: are they from two lenses?"
+    if is_one_lens:
+        return f"{_stated(tele, wide)}: are they from two lenses?"
     if (tele.kind == "raw") != (wide.kind == "raw"):
         return "are a RAW and a processed photo, whose lens distortion differs"
     return None
 
 
-def _is_one_lens(first: PhotoFacts, second: PhotoFacts) -> bool:
-    if first.focal_length_mm is None or second.focal_length_mm is None or first.camera != second.camera:
-        return False
-    return _is_same_focal(first.focal_length_mm, second.focal_length_mm)
-
-
-def _is_same_focal(first_focal_mm: float, second_focal_mm: float) -> bool:
-    return abs(first_focal_mm - second_focal_mm) <= _SAME_FOCAL * max(first_focal_mm, second_focal_mm)
+def _is_one_lens(first: PhotoFacts, second: PhotoFacts, lenses: Sequence[Lens]) -> bool:
+    lens = lens_of(first, lenses)
+    return lens is not None and lens == lens_of(second, lenses)
 
 
 def _focal_groups(photos: Sequence[PhotoFacts]) -> list[list[PhotoFacts]]:
-    """Split the photos of one camera where the focal length jumps."""
+    """Split the photos of one camera where the focal length jumps, but not where one field of view stays."""
     groups: list[list[PhotoFacts]] = []
     for photo in sorted(photos, key=lambda photo: photo.focal_length_mm or 0.0):
-        last_mm = groups[-1][-1].focal_length_mm if groups else None
-        if last_mm is not None and _is_same_focal(last_mm, photo.focal_length_mm or 0.0):
+        if groups and _is_next(groups[-1][-1], photo, tolerance=_SAME_FOCAL):
             groups[-1].append(photo)
         else:
             groups.append([photo])
-    return groups
+    lenses: list[list[PhotoFacts]] = []
+    for group in groups:
+        if (
+            lenses
+            and _is_next(lenses[-1][-1], group[0], tolerance=_SAME_LENS_FOCAL)
+            and _is_one_view(lenses[-1], group)
+        ):
+            lenses[-1] += group
+        else:
+            lenses.append(group)
+    return lenses
+
+
+def _is_next(photo: PhotoFacts, longer: PhotoFacts, *, tolerance: float) -> bool:
+    return (longer.focal_length_mm or 0.0) <= (photo.focal_length_mm or 0.0) * (1 + tolerance)
+
+
+def _is_one_view(first: Sequence[PhotoFacts], second: Sequence[PhotoFacts]) -> bool:
+    """Whether two groups have one field of view where it is widest; False where one does not state it."""
+    widest = [min((photo.f35_mm for photo in group if photo.f35_mm), default=None) for group in (first, second)]
+    if widest[0] is None or widest[1] is None:
+        return False
+    return abs(widest[0] - widest[1]) <= _SAME_F35 * max(widest[0], widest[1])
 
 
 def _lens(camera: str, photos: Sequence[PhotoFacts]) -> Lens:
-    crops = [photo.crop_35 for photo in photos if photo.crop_35 is not None]
-    return Lens(camera, photos[0].focal_length_mm or 0.0, min(crops, default=None))
+    focal_mm = [photo.focal_length_mm for photo in photos if photo.focal_length_mm]
+    return Lens(
+        camera,
+        min(focal_mm),
+        max(focal_mm),
+        crop_35=min((photo.crop_35 for photo in photos if photo.crop_35), default=None),
+        f35_mm=min((photo.f35_mm for photo in photos if photo.f35_mm), default=None),
+    )
 
 
 def _facts(path: Path) -> PhotoFacts:

@@ -253,7 +253,8 @@ def _version() -> str:
 
 
 def _flush_to_disk(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDWR)
+    # Windows flushes what is open for writing only; elsewhere a file may be read-only, as a link to a locked photo is.
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

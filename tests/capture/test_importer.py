@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import pwd
+import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +16,7 @@ from capture.roll import TELE, WIDE, exif_of, write_photo
 
 from telewide.capture.importer import ImportPlan, carry_out, plan_import
 from telewide.capture.layout import find_captures
-from telewide.capture.pairing import LensChoice
+from telewide.capture.lens_choice import LensChoice
 from telewide.errors import InputError, UsageError
 
 FLAT = np.full((40, 60), 0.5, np.float32)
@@ -26,6 +30,23 @@ def shoot_raw(folder: Path, name: str, second: int) -> Path:
     """A DNG that states its time and camera, but not its lens: that stands in its twin alone."""
     texts = {271: "Maker", 272: "Phone 1", 36867: f"2026:05:01 12:00:{second:02d}"}
     return write_dng(folder / name, FLAT, texts=texts)
+
+
+def as_ordinary_user(home: Path, act: Callable[[], None]) -> None:
+    """Do something as a user who is not root, whom no permission stops; where this already is one, as it."""
+    if os.geteuid() != 0:
+        act()
+        return
+    for folder in (home, *home.parents):
+        if folder.stat().st_uid == 0 and folder.stat().st_mode & 0o001 == 0:
+            folder.chmod(folder.stat().st_mode | 0o055)
+    home.chmod(0o777)
+    nobody = pwd.getpwnam("nobody").pw_uid
+    os.seteuid(nobody)
+    try:
+        act()
+    finally:
+        os.seteuid(0)
 
 
 def planned(plan: ImportPlan) -> dict[str, tuple[str, str]]:
@@ -81,6 +102,38 @@ def test_a_second_import_adds_what_is_new(roll: Path, tmp_path: Path) -> None:
     assert (captures / "IMG_2" / "tele.jpg").stat().st_mtime_ns == kept
 
 
+def test_a_new_pair_is_imported_though_its_names_and_sizes_are_known(tmp_path: Path) -> None:
+    """A phone that counts anew, and photos of equal size, as RAW always has."""
+    dcim, captures = tmp_path / "DCIM", tmp_path / "captures"
+
+    def take(folder: str, second: int) -> None:
+        for name, lens, later in (("T.dng", 6.0, 0), ("W.dng", 4.25, 1)):
+            texts = {271: "Maker", 272: "Phone 1", 36867: f"2026:05:01 12:00:{second + later:02d}"}
+            write_dng(dcim / folder / name, FLAT, texts=texts)
+            shoot(dcim / folder, name.replace("dng", "jpg"), {"focal": lens, "f35": round(6 * lens)}, second + later)
+
+    take("100A", 0)
+    carry_out(plan_import(dcim, captures, choice=LensChoice()), captures)
+    take("101A", 30)
+    assert (dcim / "100A" / "T.dng").stat().st_size == (dcim / "101A" / "T.dng").stat().st_size
+    plan = plan_import(dcim, captures, choice=LensChoice())
+    assert [planned.pair.tele.path.parent.name for planned in plan.pairs] == ["101A"]
+    assert plan.known == ("T",)
+    carry_out(plan, captures)
+    assert plan_import(dcim, captures, choice=LensChoice()).known == ("T", "T-2")
+
+
+def test_no_capture_is_named_like_a_folder_of_views(tmp_path: Path) -> None:
+    dcim, captures = tmp_path / "DCIM", tmp_path / "captures"
+    for number, name in enumerate(("tele", "Wide", "TRUTH", "captures.yaml")):
+        shoot(dcim, f"{name}.jpg", TELE, 100 * number)
+        shoot(dcim, f"other{number}.jpg", WIDE, 100 * number + 1)
+    carry_out(plan_import(dcim, captures, choice=LensChoice()), captures)
+    found = find_captures(captures)
+    assert [capture.name for capture in found.captures] == ["TRUTH-2", "Wide-2", "captures.yaml-2", "tele-2"]
+    assert found.problems == ()
+
+
 def test_equal_names_get_folders_of_their_own(tmp_path: Path) -> None:
     for number, folder in enumerate(("100A", "101A")):
         shoot(tmp_path / "DCIM" / folder, "IMG_1.jpg", TELE, 100 * number)
@@ -123,6 +176,71 @@ def test_links_share_their_bytes(roll: Path, tmp_path: Path) -> None:
     captures = tmp_path / "captures"
     carry_out(plan_import(roll, captures, choice=LensChoice()), captures, is_linked=True)
     assert (captures / "IMG_2" / "tele.jpg").samefile(roll / "100A" / "IMG_2.jpg")
+
+
+@pytest.mark.parametrize("is_linked", [False, True])
+def test_locked_photos_are_imported_by_an_ordinary_user(roll: Path, tmp_path: Path, *, is_linked: bool) -> None:
+    """Photos of mode 0444, as on a card that was copied read-only; root may write to them, so it steps down."""
+    for path in roll.rglob("*.jpg"):
+        path.chmod(0o444)
+    captures = tmp_path / "captures"
+    plan = plan_import(roll, captures, choice=LensChoice())
+    as_ordinary_user(tmp_path, lambda: carry_out(plan, captures, is_linked=is_linked))
+    lying = captures / "IMG_2" / "tele.jpg"
+    assert lying.read_bytes() == (roll / "100A" / "IMG_2.jpg").read_bytes()
+    assert (roll / "100A" / "IMG_2.jpg").stat().st_mode & 0o777 == 0o444
+    if not lying.samefile(roll / "100A" / "IMG_2.jpg"):
+        assert lying.stat().st_mode & stat.S_IWUSR
+
+
+def test_linked_folders_are_entered_once(roll: Path, tmp_path: Path) -> None:
+    (tmp_path / "DCIM").rename(tmp_path / "card")
+    roll.mkdir()
+    (roll / "camera").symlink_to(tmp_path / "card", target_is_directory=True)
+    (roll / "again").symlink_to(tmp_path / "card", target_is_directory=True)
+    (tmp_path / "card" / "up").symlink_to(roll, target_is_directory=True)
+    plan = plan_import(roll, tmp_path / "captures", choice=LensChoice())
+    assert planned(plan) == {"IMG_2": ("IMG_2.jpg", "IMG_1.jpg"), "IMG_3": ("IMG_3.jpg", "IMG_4.jpg")}
+    assert [one.photo.path.name for one in plan.unpaired] == ["IMG_5.jpg"]
+
+
+def test_a_linked_photo_is_one_photo_and_a_hard_link_leads_to_its_bytes(roll: Path, tmp_path: Path) -> None:
+    target = roll / "100A" / "IMG_2.jpg"
+    target.rename(tmp_path / "elsewhere.jpg")
+    target.symlink_to(tmp_path / "elsewhere.jpg")
+    (roll / "101A" / "IMG_9.jpg").symlink_to(tmp_path / "elsewhere.jpg")
+    captures = tmp_path / "captures"
+    plan = plan_import(roll, captures, choice=LensChoice())
+    assert len(plan.pairs) + len(plan.unpaired) == 3
+    carry_out(plan, captures, is_linked=True)
+    assert not (captures / "IMG_2" / "tele.jpg").is_symlink()
+    assert (captures / "IMG_2" / "tele.jpg").samefile(tmp_path / "elsewhere.jpg")
+
+
+def test_a_folder_that_cannot_be_opened_is_told(roll: Path, tmp_path: Path) -> None:
+    (roll / "101A").chmod(0)
+    plans: list[ImportPlan] = []
+
+    def look() -> None:
+        plan = plan_import(roll, tmp_path / "captures", choice=LensChoice())
+        assert planned(plan) == {"IMG_2": ("IMG_2.jpg", "IMG_1.jpg")}
+        assert [one.reason for one in plan.unpaired] == ["the folder cannot be opened: Permission denied"]
+        plans.append(plan)
+
+    as_ordinary_user(tmp_path, look)
+    (roll / "101A").chmod(0o755)
+
+
+def test_a_second_import_does_not_pair_the_lenses_that_were_left(tmp_path: Path) -> None:
+    dcim, captures = tmp_path / "DCIM", tmp_path / "captures"
+    lenses = {"U": (2.2, 13), "W": (6.3, 24), "T": (7.9, 70), "L": (18.6, 230)}
+    for k, (name, (focal, f35)) in enumerate(lenses.items()):
+        shoot(dcim, f"{name}.jpg", {"focal": focal, "f35": f35}, k)
+    carry_out(plan_import(dcim, captures, choice=LensChoice()), captures)
+    again = plan_import(dcim, captures, choice=LensChoice())
+    assert (again.pairs, again.known) == ((), ("T",))
+    asked = plan_import(dcim, captures, choice=LensChoice(tele_mm=18.6, wide_mm=2.2))
+    assert planned(asked) == {"L": ("L.jpg", "U.jpg")}
 
 
 def test_what_is_no_photo_is_not_looked_at(roll: Path, tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_a_crop_of_tele_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tele", "wide", "told"),
     [
-        (WIDE, WIDE, "both state a focal length of 4.25 mm"),
+        (WIDE, WIDE, "both state 4.25 mm: are they from two lenses?"),
         (TELE | {"model": "Phone 2"}, WIDE, "different cameras: Maker Phone 2, Maker Phone 1"),
     ],
 )

@@ -1,0 +1,85 @@
+"""When photos were taken, and which of two series are nearest to each other in time.
+
+Letters: N, M photos of the two series.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, tzinfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SAME_S = 1e-6
+"""Intervals that differ by less are equal."""
+
+
+def utc_seconds(moments: Sequence[datetime]) -> FloatArray:
+    """Put moments of one camera on one time axis.
+
+    A moment that states no time zone takes that of the moment nearest to it by the clock among those that state one;
+    where none does, UTC.
+
+    Args:
+        moments: (N,) with and without time zone.
+
+    Returns:
+        (N,) s since 1970.
+    """
+    zoned = [(moment.replace(tzinfo=UTC).timestamp(), moment.tzinfo) for moment in moments if moment.tzinfo]
+    clock_s = np.array([second for second, _ in zoned])
+
+    def zone_of(moment: datetime) -> tzinfo | None:
+        nearest = int(np.abs(clock_s - moment.replace(tzinfo=UTC).timestamp()).argmin())
+        return zoned[nearest][1]
+
+    if not zoned:
+        return np.array([moment.replace(tzinfo=UTC).timestamp() for moment in moments], dtype=np.float64)
+    return np.array([(m if m.tzinfo else m.replace(tzinfo=zone_of(m))).timestamp() for m in moments], dtype=np.float64)
+
+
+def nearest_s(own_s: FloatArray, others_s: FloatArray) -> FloatArray:
+    """Return how far each moment is from the nearest of the others.
+
+    Args:
+        own_s: (N,) s.
+        others_s: (M,) s.
+
+    Returns:
+        (N,) s, 0 or more; inf where there are no others.
+    """
+    return np.array([np.abs(others_s - second).min(initial=np.inf) for second in own_s], dtype=np.float64)
+
+
+def mutual_nearest(first_s: FloatArray, second_s: FloatArray, *, max_s: float) -> list[tuple[int, int]]:
+    """Pair moments that are the nearest to each other; of equally near ones that which is still free.
+
+    Of several equal intervals the earliest is paired first, so that photos taken in turns at equal intervals all find
+    a partner.
+
+    Args:
+        first_s: (N,) s, in the order in which equal moments are to be taken.
+        second_s: (M,) s, likewise.
+        max_s: moments farther apart are no pair.
+
+    Returns:
+        Indices into both, each at most once, by the first.
+    """
+    to_second_s, to_first_s = nearest_s(first_s, second_s), nearest_s(second_s, first_s)
+    edges = []
+    for i, second in enumerate(first_s):
+        apart_s = np.abs(second_s - second)
+        is_near = apart_s <= np.minimum(max_s, to_second_s[i]) + SAME_S
+        edges += [(i, int(j)) for j in np.flatnonzero(is_near & (apart_s <= to_first_s + SAME_S))]
+    edges.sort(key=lambda edge: (min(first_s[edge[0]], second_s[edge[1]]), edge))
+    pairs: list[tuple[int, int]] = []
+    taken: tuple[set[int], set[int]] = (set(), set())
+    for i, j in edges:
+        if i not in taken[0] and j not in taken[1]:
+            pairs.append((i, j))
+            taken[0].add(i)
+            taken[1].add(j)
+    return sorted(pairs)
