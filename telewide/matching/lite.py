@@ -19,7 +19,7 @@ from torch.nn import functional
 from telewide.matching.conv3d import Conv3d
 from telewide.matching.sampling import upsample_convex, warp_to_ref
 from telewide.matching.volume import concatenate_views, correlate_groups, expect_disparity_at_mode
-from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
 
 GUIDE_CHANNELS = 16
 MATCH_CHANNELS = 32
@@ -27,8 +27,12 @@ CORRELATION_GROUPS = 8
 THIN_CHANNELS = 4
 VOLUME_CHANNELS = 16
 REFINE_CHANNELS = 16
+HALVED_PLANES = 4
+"""The hourglass halves the volume twice."""
 DISPARITY_SCALE_PX = 16.0
 """Disparities enter the refinement as fractions of this, so that they have the size of the features."""
+SURROUNDINGS_PX = 17
+"""Side of the square whose mean disparity they are taken against, px of the half-size grid."""
 
 
 def _conv2d(c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> nn.Conv2d:
@@ -147,27 +151,27 @@ class LiteMatching(nn.Module):
         logits = self._logits(ref[0], src[0], window)
         coarse_px = expect_disparity_at_mode(logits, window=window)
         half_px = upsample_convex(coarse_px, self._up_weights(ref), factor=2)
-        refined_px, weights = self._refine(half_px, ref[1], src[1], window)
+        refined_px, weights = self._refine(half_px, ref[1], src[1])
         fine_px = upsample_convex(refined_px, weights, factor=2)
         return [_nearest(coarse_px, 4), _nearest(half_px, 2), fine_px], logits
 
     def _logits(self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> Tensor:
-        correlation = correlate_groups(ref_BCHW, src_BCHW, window=window, groups=CORRELATION_GROUPS)
-        thin = concatenate_views(self.thin(ref_BCHW), self.thin(src_BCHW), window=window)
+        whole = widened_window(window, planes=HALVED_PLANES)
+        correlation = correlate_groups(ref_BCHW, src_BCHW, window=whole, groups=CORRELATION_GROUPS)
+        thin = concatenate_views(self.thin(ref_BCHW), self.thin(src_BCHW), window=whole)
         volume = torch.cat((correlation, thin), dim=1).contiguous(memory_format=torch.channels_last_3d)
         regularised = self.leave(self.hourglass(self.enter(volume)))[:, 0]
         logits: Tensor = regularised.float() + self.correlation_scale * correlation.float().mean(dim=1)
-        return logits
+        return logits[:, planes_of(window, within=whole)]
 
     def _up_weights(self, ref: tuple[Tensor, Tensor]) -> Tensor:
         weights: Tensor = self.up_weights(torch.cat((ref[0], functional.pixel_unshuffle(ref[1], 2)), dim=1))
         return weights
 
-    def _refine(self, half_px: Tensor, ref_guide: Tensor, src_guide: Tensor, window: Window) -> tuple[Tensor, Tensor]:
+    def _refine(self, half_px: Tensor, ref_guide: Tensor, src_guide: Tensor) -> tuple[Tensor, Tensor]:
         start_px = half_px.detach()
         warped = warp_to_ref(src_guide, start_px / 2).to(ref_guide.dtype)
-        centre_px = (window[0] + window[1]) / 2
-        scaled = ((start_px - centre_px) / DISPARITY_SCALE_PX)[:, None].to(ref_guide.dtype)
+        scaled = (_against_surroundings(start_px) / DISPARITY_SCALE_PX)[:, None].to(ref_guide.dtype)
         entered = self.refine_views(torch.cat((ref_guide, warped), dim=1)) + self.refine_disparity(scaled)
         hidden = self.refine(functional.relu(entered))
         residual_px = self.refine_residual(hidden)[:, 0].float() * VOLUME_STEP_PX
@@ -176,3 +180,11 @@ class LiteMatching(nn.Module):
 
 def _nearest(values_BHW: Tensor, factor: int) -> Tensor:
     return functional.interpolate(values_BHW[:, None], scale_factor=factor, mode="nearest")[:, 0]
+
+
+def _against_surroundings(values_BHW: Tensor) -> Tensor:
+    """Difference from the mean around each pixel: the same wherever the window lies and whatever is far away."""
+    mean = functional.avg_pool2d(
+        values_BHW, SURROUNDINGS_PX, stride=1, padding=SURROUNDINGS_PX // 2, count_include_pad=False
+    )
+    return values_BHW - mean

@@ -16,10 +16,13 @@ from torch.nn import functional
 
 from telewide.matching.conv3d import Conv3d
 from telewide.matching.volume import concatenate_views
-from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
 
 FEATURE_CHANNELS = 16
 VOLUME_CHANNELS = 16
+POOL_CELLS = (16, 8)
+HALVED_PLANES = 4
+"""The hourglass halves the volume twice."""
 
 
 def _conv2d(c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
@@ -74,7 +77,9 @@ class PsmnetFeatures(nn.Module):
         self.layer3 = _blocks(32, 64, 2)
         self.layer4 = _blocks(64, 64, 2, dilation=2)
         self.pools = nn.ModuleList(
-            nn.Sequential(nn.AvgPool2d(cells), _conv2d(64, 16, kernel=1), nn.ReLU()) for cells in (16, 8)
+            # The last cell of a side may be cut: it is a mean over what there is of it.
+            nn.Sequential(nn.AvgPool2d(cells, ceil_mode=True), _conv2d(64, 16, kernel=1), nn.ReLU())
+            for cells in POOL_CELLS
         )
         self.last = nn.Sequential(_conv2d(128, 64), nn.ReLU(), nn.Conv2d(64, FEATURE_CHANNELS, 1, bias=False))
 
@@ -82,10 +87,13 @@ class PsmnetFeatures(nn.Module):
         """(B, 3, H, W) to ((B, 16, H/4, W/4),)."""
         quarter = self.layer2(self.layer1(self.first(image_BCHW)))
         deep = self.layer4(self.layer3(quarter))
+        height, width = deep.shape[-2:]
         pooled = [
-            functional.interpolate(pool(deep), size=deep.shape[-2:], mode="bilinear", align_corners=False)
-            for pool in self.pools
+            # By the cells' own size, not to that of the picture, which may end within a cell.
+            functional.interpolate(pool(deep), scale_factor=cells, mode="bilinear", align_corners=False)
+            for cells, pool in zip(POOL_CELLS, self.pools, strict=True)
         ]
+        pooled = [spread[..., :height, :width] for spread in pooled]
         return (self.last(torch.cat((quarter, deep, *pooled), dim=1)),)
 
 
@@ -126,10 +134,11 @@ class PsmnetMatching(nn.Module):
 
     def forward(self, ref: tuple[Tensor], src: tuple[Tensor], window: Window) -> tuple[list[Tensor], Tensor]:
         """[Disparity (B, H, W), px] and the volume (B, D, H/4, W/4)."""
-        volume = concatenate_views(ref[0], src[0], window=window).contiguous(memory_format=torch.channels_last_3d)
+        whole = widened_window(window, planes=HALVED_PLANES)
+        volume = concatenate_views(ref[0], src[0], window=whole).contiguous(memory_format=torch.channels_last_3d)
         cost = self.dres0(volume)
         cost = cost + self.dres1(cost)
-        logits = self.classify(cost + self.hourglass(cost)).float()
+        logits = self.classify(cost + self.hourglass(cost)).float()[:, :, planes_of(window, within=whole)]
         return [_expect_full_size(logits, window)], logits[:, 0]
 
 

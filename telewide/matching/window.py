@@ -5,6 +5,8 @@ A window ``[d_min, d_max)`` has one plane every ``VOLUME_STEP_PX`` px of the ful
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 VOLUME_STEP_PX = 4
 Window = tuple[int, int]
 
@@ -18,3 +20,25 @@ def check_window(window: Window) -> None:
     d_min, d_max = window
     if d_min >= d_max or d_min % VOLUME_STEP_PX or d_max % VOLUME_STEP_PX:
         raise ValueError(f"disparity window {window}: expected d_min < d_max, multiples of {VOLUME_STEP_PX} px")
+
+
+def widened_window(window: Window, *, planes: int) -> Window:
+    """The window widened until both ends are multiples of ``planes`` planes, counted from disparity zero.
+
+    What a volume is halved by then falls on the same planes whatever window was asked for.
+    """
+    check_window(window)
+    span_px = planes * VOLUME_STEP_PX
+    return window[0] // span_px * span_px, -(-window[1] // span_px) * span_px
+
+
+def planes_of(window: Window, *, within: Window) -> slice:
+    """The planes of a window among those of a wider one."""
+    first = (window[0] - within[0]) // VOLUME_STEP_PX
+    return slice(first, first + (window[1] - window[0]) // VOLUME_STEP_PX)
+
+
+def joined_window(windows: Iterable[Window]) -> Window:
+    """The narrowest window that holds every one of some windows."""
+    firsts, ends = zip(*windows, strict=True)
+    return min(firsts), max(ends)

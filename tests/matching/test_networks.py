@@ -174,3 +174,61 @@ def test_parts_of_different_networks_fit_the_same_frame() -> None:
     network(randn(1, 3, 64, 64), randn(1, 3, 64, 64), (0, 16)).disparity_px.sum().backward()
     assert all(p.grad is None for p in network.features.parameters())
     assert any(p.grad is not None for p in network.matching.parameters())
+
+
+def stirred(name: str) -> StereoNetwork:
+    """A network whose branches that start at zero say something."""
+    network = build_network(name, seed=1).eval()
+    with torch.no_grad():
+        for index, parameter in enumerate(network.parameters()):
+            if not parameter.any():
+                parameter += 0.05 * randn(*parameter.shape, seed=index)
+    return network
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("first_px", [-100, -40, 4])
+def test_any_number_of_planes_gives_the_same_volume(name: str, first_px: int) -> None:
+    """Windows of 4 to 40 planes against one a few planes wider: what is halved inside falls on the same planes."""
+    network = stirred(name)
+    with torch.no_grad(), full_precision():
+        ref, src = (network.features(randn(1, 3, 32, 64, seed=seed)) for seed in (0, 1))
+        for planes in range(4, 41):
+            window = (first_px, first_px + 4 * planes)
+            wider = (window[0] // 16 * 16, -(-window[1] // 16) * 16)
+            volume, whole = (network.matching(ref, src, searched)[1] for searched in (window, wider))
+            inside = whole[:, (window[0] - wider[0]) // 4 :][:, :planes]
+            torch.testing.assert_close(volume, inside, atol=1e-4, rtol=1e-3, msg=f"{planes} planes")
+
+
+def test_a_moved_centre_does_not_move_the_result() -> None:
+    """The views alone say how a disparity is refined, not where it lies in the window."""
+    network = stirred("lite")
+    world = torch.nn.functional.avg_pool2d(randn(1, 3, 66, 290), 3, stride=1)
+    ref, src = standardise(world[..., :256]), standardise(world[..., 20:276])
+    with torch.no_grad(), full_precision():
+        network.matching.leave.weight.zero_()  # the correlation alone decides: the same plane in every window
+        network.matching.refine_residual.weight.mul_(4)
+        narrow, wide = (network(ref, src, window) for window in ((0, 48), (0, 144)))
+    assert (narrow.disparities_px[1] - wide.disparities_px[1])[..., 40:-8].abs().median() < 1e-3
+    moved_px = (narrow.disparity_px - wide.disparity_px)[..., 40:-8].abs()
+    assert (narrow.disparity_px - narrow.disparities_px[1])[..., 40:-8].abs().median() > 0.05, "nothing is refined"
+    assert moved_px.median() < 1e-3
+
+
+@pytest.mark.parametrize("width_px", [272, 288, 304])
+def test_psmnet_pools_a_crop_on_the_grid_of_the_padded_image(width_px: int) -> None:
+    """Training sees crops of any multiple of 16 px, inference pads to 64: the same features but at the cut."""
+    network = build_network("psmnet-s", seed=1).eval()
+    smooth = torch.nn.functional.interpolate(randn(1, 3, 9, 18), size=(192, 384), mode="bicubic", align_corners=False)
+    crop = smooth[..., :width_px]
+    padded = torch.nn.functional.pad(crop, (0, -width_px % 64, 0, 0), mode="replicate")
+    with torch.no_grad(), full_precision():
+        of_crop, of_padded = (network.features(view)[0] for view in (crop, padded))
+    apart = (of_crop - of_padded[..., : width_px // 4])[..., :-24].abs() / of_padded.std()
+    assert apart.mean() < 1e-3
+
+
+def test_psmnet_takes_crops_smaller_than_its_pools() -> None:
+    features = build_network("psmnet-s").eval().features(randn(1, 3, 32, 48))
+    assert features[0].shape == (1, 16, 8, 12)
