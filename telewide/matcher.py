@@ -36,7 +36,7 @@ class Matcher:
     Attributes:
         match: (ref, src, window) to the disparity of ref.
         key: what tells it from others.
-        window: disparities it was trained for, px; None where the pairs decide.
+        window: disparities it was trained for, px, searched beside what the pairs need; None where it was not trained.
         doubt: what is to be said before it is used.
     """
 

@@ -12,6 +12,7 @@ from telewide.prepare import PreparedSet
 
 if TYPE_CHECKING:
     from telewide.matching.networks import StereoNetwork
+    from telewide.matching.window import Window
     from telewide.training.stages import Stage
 
 
@@ -41,6 +42,9 @@ class Observer(Protocol):
 
     def set_prepared(self, prepared: PreparedSet) -> None:
         """All captures are corrected."""
+
+    def searching(self, window: Window) -> None:
+        """Views are to be matched within this window, px."""
 
     def labelling(self, total: int) -> Callable[[], None]:
         """Labels of ``total`` captures are about to be computed; the answer is called after each."""

@@ -29,6 +29,7 @@ from telewide.correction.pin import KnownDistance, focused_at
 from telewide.counted import counted
 from telewide.errors import InputError, UsageError
 from telewide.matcher import Matcher, choose_matcher
+from telewide.matching.window import Window, joined_window
 from telewide.observer import Observer
 from telewide.options import parse_options
 from telewide.output.bokeh_picture import BokehOptions, check_bokeh
@@ -290,6 +291,7 @@ def _train(call: _Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
         device=choose_device(call.device),
         processes=call.processes,
         reporter=call.observer,
+        searching=call.observer.searching,
         labelling=call.observer.labelling,
     )
     timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
@@ -323,11 +325,20 @@ def _make_folder(folder: Path) -> None:
 def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
     """Depth of this process' share, told as it comes; then the others' results, told by the writer alone."""
     processes, begun_s = call.processes, time.monotonic()
+    window = prepared.window_with(matcher.window)
+    call.observer.searching(window)
+    if matcher.window is not None and joined_window((window, matcher.window)) != matcher.window:
+        call.observer.said(
+            f"searched at {window[0]} to {window[1]} px, as these captures need; the network was trained at "
+            f"{matcher.window[0]} to {matcher.window[1]} px"
+        )
     call.observer.matching(len(prepared.pairs), method=options.method)
     precision = _precision(prepared)
     mine: list[DepthOutcome | DepthFailure] = []
     for item in processes.share(prepared.pairs):
-        mine.append(_depth_of(item, call, prepared, matcher=matcher, options=options, precision=precision))
+        mine.append(
+            _depth_of(item, call, prepared, matcher=matcher, window=window, options=options, precision=precision)
+        )
         _tell(call.observer, mine[-1])
     results = processes.gathered(tuple(mine))
     for index, result in enumerate(results):
@@ -353,6 +364,7 @@ def _depth_of(
     prepared: PreparedSet,
     *,
     matcher: Matcher,
+    window: Window,
     options: DepthOptions,
     precision: DepthPrecision | None,
 ) -> DepthOutcome | DepthFailure:
@@ -364,9 +376,9 @@ def _depth_of(
         item.held_out,
         (options.out or call.folder.depth) / item.capture.name,
         facts=prepared.facts,
-        match=lambda ref, src: matcher.match(ref, src, window=matcher.window or prepared.window),
+        match=lambda ref, src: matcher.match(ref, src, window=window),
         bokeh=options.bokeh,
-        key=_depth_key(item, prepared, matcher, options=options, shot=shot),
+        key=_depth_key(item, matcher, window=window, options=options, shot=shot),
         shot=shot,
     )
 
@@ -394,9 +406,9 @@ def _shot(item: PreparedPair, precision: DepthPrecision | None, known: KnownDist
 
 def _depth_key(
     item: PreparedPair,
-    prepared: PreparedSet,
     matcher: Matcher,
     *,
+    window: Window,
     options: DepthOptions,
     shot: ShotGeometry | None,
 ) -> dict[str, object]:
@@ -407,7 +419,7 @@ def _depth_key(
         "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
         "truth_sha256": None if truth is None else fingerprint(truth),
         "matcher": matcher.key,
-        "window": None if matcher.window else prepared.window,
+        "window": window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
         "precision": None if shot is None else asdict(shot.precision),
         "known": None if shot is None or shot.known is None else asdict(shot.known),

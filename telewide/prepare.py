@@ -30,12 +30,19 @@ from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, Re
 from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
 from telewide.correction.blur import BlurEstimate, damage_range, fit_blur
 from telewide.correction.held_out import HeldOut
-from telewide.correction.inspect import CorrectedPair, PairReport, correct_pair, disparity_window, inspect_pair
+from telewide.correction.inspect import (
+    MIN_COMMON_MATCHES,
+    CorrectedPair,
+    PairReport,
+    correct_pair,
+    disparity_window,
+    inspect_pair,
+)
 from telewide.correction.matches import find_matches
 from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import FloatMap
 from telewide.matching.semiglobal import match_semiglobal
-from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
 from telewide.recipe import Recipe
 from telewide.training.samples import LABELS_PREFIX, labels_path
 
@@ -100,6 +107,25 @@ class PreparedSet:
                 raise
             hint = f"photos as they were taken need a rig, {_how_to_calibrate(Path('CAPTURES'))}; or {error.hint}"
             raise InputError(error.message, hint=hint) from error
+
+    def window_with(self, former: Window | None) -> Window:
+        """Disparities to search by what has searched other captures before.
+
+        Args:
+            former: what it was trained for or has searched, px; None where nothing is known.
+
+        Returns:
+            The stated window, or one that holds both the former and what these pairs need, px.
+
+        Raises:
+            InputError: nothing states, measures or remembers a window.
+        """
+        if former is None or self.stated_window is not None:
+            return self.window
+        try:
+            return joined_window((former, self.window))
+        except InputError:  # too few matches to measure by
+            return former
 
     @property
     def damage_factor(self) -> tuple[float, float] | None:
@@ -168,6 +194,7 @@ def prepare_captures(
             problems.append(Problem(capture.name, "; ".join(prepared.report.reasons)))
         elif prepared is not None:
             pairs.append(prepared)
+            problems += _what_is_cut_off(prepared.report, recipe.window_px)
         if tick is not None:
             tick(prepared.report if prepared is not None else None)
     if not pairs:
@@ -177,6 +204,18 @@ def prepare_captures(
             hint += f"; photos as they were taken need a rig, {_how_to_calibrate(captures.root)}"
         raise InputError(f"{captures.root}: no capture can be used{lines}", hint=hint)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
+
+
+def _what_is_cut_off(report: PairReport, stated: Window | None) -> list[Problem]:
+    """A note where a stated window ends before the disparities of a capture do."""
+    low_px, high_px = report.disparity_p02_px, report.disparity_p98_px
+    if stated is None or report.n_matches < MIN_COMMON_MATCHES or (stated[0] <= low_px and high_px < stated[1]):
+        return []
+    message = (
+        f"its matches lie at {low_px:.0f} to {high_px:.0f} px, and the recipe states window_px: {list(stated)}: depth "
+        "of what lies beyond is wrong"
+    )
+    return [Problem(report.name, message, is_skipped=False)]
 
 
 def _prepare_pair(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from telewide.capture.pair import CaptureSet, Problem
     from telewide.correction.inspect import PairReport
     from telewide.matching.networks import StereoNetwork
+    from telewide.matching.window import Window
     from telewide.output.capture_depth import DepthOutcome
     from telewide.prepare import PreparedSet
     from telewide.training.stages import Stage
@@ -50,6 +51,7 @@ class ConsoleObserver:
     _loss: float = math.nan
     _last_line_s: float = field(default_factory=time.monotonic)
     _judgement: str = ""
+    _window: Window | None = None
 
     def close(self) -> None:
         """Take the bar away."""
@@ -75,8 +77,6 @@ class ConsoleObserver:
             for reason in pair.report.reasons:
                 self.warned(f"warning: {pair.report.name}: {reason}")
         self._warn(prepared.problems)
-        if self.shows_table and not self.is_quiet:  # what was left out is known by now, should no window be found
-            self.said(f"disparities searched: {prepared.window[0]} to {prepared.window[1]} px")
         if prepared.facts.rectified is None and prepared.rig is None and not self.is_quiet:
             rows_px = [abs(pair.report.vertical_residual_px) for pair in prepared.pairs]
             worst_px = max((row_px for row_px in rows_px if math.isfinite(row_px)), default=math.nan)
@@ -86,6 +86,12 @@ class ConsoleObserver:
                 f"{rows if math.isfinite(worst_px) else 'matches are too few to see it'}. State rectified: true in "
                 "captures.yaml if they are; make a rig if they are not: telewide calibrate",
             )
+
+    def searching(self, window: Window) -> None:
+        """Say it once."""
+        if self.shows_table and window != self._window:
+            self.said(f"disparities searched: {window[0]} to {window[1]} px")
+        self._window = window
 
     def labelling(self, total: int) -> Callable[[], None]:
         """Show a bar over the labels."""

@@ -100,6 +100,7 @@ def train_prepared(
     device: torch.device,
     processes: Processes,
     reporter: Reporter,
+    searching: Callable[[Window], None],
     labelling: Callable[[int], Callable[[], None]],
 ) -> TrainOutcome:
     """Train a network on prepared pairs in a run folder.
@@ -112,6 +113,7 @@ def train_prepared(
         device: to compute on.
         processes: this process among all.
         reporter: hears of it.
+        searching: hears the window of the training.
         labelling: announces labels to be computed; what it returns is called after each.
 
     Returns:
@@ -131,6 +133,7 @@ def train_prepared(
     processes.wait()  # all have read what the writer now changes
     if state.is_finished:
         return _outcome(run, plan, state, is_new=False)
+    searching(record.window)
     if processes.is_writer:
         _note_what_is_taken_up(run, record, state)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
@@ -207,14 +210,14 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     resolved = recipe.model_dump(mode="json")
     if kept is None:
         held_out = _choose_held_out(names, recipe)
-        return TrainingRecord(resolved, prepared.window, names, held_out, held_out or names)
+        return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names)
     changed = differing_keys(kept.recipe, resolved)
     if changed:
         raise UsageError(
             f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
             hint="use the same recipe to continue, --fresh to start over, or --out for another run folder",
         )
-    # Window and held-out captures stay: the volume and the judge must not change under a network.
+    # Held-out captures stay: the judge must not change under a network.
     held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
     if not judged:
         raise UsageError(
@@ -226,7 +229,7 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
             f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
             hint="add captures, or start over with --fresh",
         )
-    return TrainingRecord(resolved, kept.window, names, held_out, judged)
+    return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged)
 
 
 def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.images import read_image, read_pfm, write_image
 from telewide.capture.pair import Capture, find_captures
+from telewide.capture.rundir import RunFolder
 from telewide.cli import main
 from telewide.correction.held_out import HeldOut
 from telewide.errors import UsageError
@@ -29,6 +30,7 @@ from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bok
 from telewide.output.capture_depth import DepthOutcome, depth_of_capture
 from telewide.output.kept import KeptDepth, read_kept, write_kept
 from telewide.pipeline import DepthOptions, recipe_of_depth
+from telewide.prepare import prepare_captures
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.training.checkpoint import WeightsCard, save_weights
@@ -333,3 +335,22 @@ def test_weights_come_with_the_pairs_they_were_taught_on(simulated: Path, tmp_pa
     assert recipe.seed == default.seed
     assert recipe.train == default.train
     assert default.working_width_px == 1536
+
+
+def test_a_network_searches_beyond_what_it_was_trained_for(
+    simulated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Trained on far things, shown near ones: nothing is cut off, and it is said."""
+    card = WeightsCard("lite", (-40, 4), load_recipe("quick").model_dump(mode="json"), {})
+    save_weights(build_network("lite"), tmp_path / "w.safetensors", card=card)
+    words = ("depth", str(simulated), "--run", str(tmp_path / "run"), "--method", "network", "--device", "cpu")
+    assert run_cli(*words, "--weights", str(tmp_path / "w.safetensors")) == 0
+    needed = prepare_captures(find_captures(simulated), RunFolder(tmp_path / "run"), recipe=load_recipe("quick")).window
+    told = capsys.readouterr().err
+    assert f"searched at -40 to {needed[1]} px, as these captures need; the network was trained at -40 to 4 px" in told
+    for name in ("000", "001"):
+        disparity_px, truth_px = (
+            read_pfm(path) for path in (tmp_path / "run/depth" / name / "disparity.pfm", simulated / name / "truth.pfm")
+        )
+        is_near = truth_px > 12
+        assert (disparity_px[is_near] > 8.5).mean() > 0.4, "the trained window ends at 4 px"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import telewide.prepare
 from telewide.capture.images import read_image, read_pfm
 from telewide.capture.pair import find_captures
 from telewide.capture.rundir import RunFolder
+from telewide.errors import InputError
 from telewide.prepare import PreparedSet, prepare_captures, write_labels
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
@@ -70,3 +72,28 @@ def test_a_photo_that_cannot_be_read_leaves_the_others(captures: Path, tmp_path:
         gone.write_bytes(kept)
     assert [item.capture.name for item in pairs.pairs] == [found.captures[1].name]
     assert [problem.name for problem in pairs.problems] == [found.captures[0].name]
+
+
+def test_a_stated_window_that_cuts_disparities_off_is_told(captures: Path, tmp_path: Path) -> None:
+    wide, narrow = (prepared(captures, tmp_path / "run", f"window_px={window}") for window in ("[-32, 96]", "[0, 12]"))
+    assert wide.problems == ()
+    assert {problem.name for problem in narrow.problems} == {"000", "001"}
+    assert not any(problem.is_skipped for problem in narrow.problems)
+    assert all("window_px: [0, 12]" in problem.message for problem in narrow.problems)
+    assert len(narrow.pairs) == 2
+
+
+def test_what_was_searched_before_is_searched_again_and_what_new_pairs_need_besides(
+    captures: Path, tmp_path: Path
+) -> None:
+    measured = prepared(captures, tmp_path / "run")
+    first, end = measured.window
+    assert measured.window_with(None) == measured.window
+    assert measured.window_with((first + 4, first + 12)) == measured.window
+    assert measured.window_with((first - 40, end - 4)) == (first - 40, end)
+    assert prepared(captures, tmp_path / "run", "window_px=[0, 12]").window_with((0, 96)) == (0, 12)
+    report = dataclasses.replace(measured.pairs[0].report, n_matches=0)
+    blank = dataclasses.replace(measured, pairs=(dataclasses.replace(measured.pairs[0], report=report),))
+    assert blank.window_with((0, 32)) == (0, 32)
+    with pytest.raises(InputError):
+        blank.window_with(None)

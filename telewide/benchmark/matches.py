@@ -22,7 +22,7 @@ from telewide.capture.pair import CaptureFacts, CaptureSet, RectifiedPair, find_
 from telewide.capture.rundir import RunFolder
 from telewide.correction.held_out import match_errors_px, summarise_errors
 from telewide.errors import UsageError
-from telewide.matching.window import Window
+from telewide.matching.window import Window, joined_window
 from telewide.prepare import PreparedPair, prepare_captures, refuse_without_rig
 from telewide.recipe import Recipe
 
@@ -79,8 +79,10 @@ def benchmark_matches(
     """
     captures = find_captures(captures_root)
     prepared = prepare_captures(captures, run, recipe=recipe, rig=_suitable_rig(rig, captures, entrants))
-    unseen, trained_window = _unseen_captures(trained_runs)
-    window = trained_window or prepared.window
+    unseen = _unseen_captures(trained_runs)
+    window = prepared.window
+    for entrant in entrants:
+        window = joined_window((window, entrant.contender.window or window))
     errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
     for item in prepared.pairs:
         tell(f"{item.capture.name}: {len(item.held_out.ref_px)} matches")
@@ -119,19 +121,19 @@ def matches_table(report: BenchmarkReport) -> str:
     return markdown_table(headings, [_line(row) for row in report.rows])
 
 
-def _unseen_captures(runs: Sequence[RunFolder]) -> tuple[frozenset[str], Window | None]:
-    """Captures that none of the trainings has seen, and the window of the first of them."""
+def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
+    """Captures that none of the trainings has seen."""
     from telewide.train import read_record
 
     records = [record for record in map(read_record, runs) if record is not None]
     if not records or len(records) < len(runs):
-        return frozenset(), records[0].window if records else None
-    return frozenset.intersection(*(frozenset(record.held_out) for record in records)), records[0].window
+        return frozenset()
+    return frozenset.intersection(*(frozenset(record.held_out) for record in records))
 
 
 def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> Errors:
     pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
-    disparity = entrant.contender.match(pair.tele, pair.wide, entrant.contender.window or window)
+    disparity = entrant.contender.match(pair.tele, pair.wide, window)
     return match_errors_px(disparity.disparity_px, item.held_out)
 
 
