@@ -325,13 +325,7 @@ def _make_folder(folder: Path) -> None:
 def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
     """Depth of this process' share, told as it comes; then the others' results, told by the writer alone."""
     processes, begun_s = call.processes, time.monotonic()
-    window = prepared.window_with(matcher.window)
-    call.observer.searching(window)
-    if matcher.window is not None and joined_window((window, matcher.window)) != matcher.window:
-        call.observer.said(
-            f"searched at {window[0]} to {window[1]} px, as these captures need; the network was trained at "
-            f"{matcher.window[0]} to {matcher.window[1]} px"
-        )
+    window = _searched(call, prepared, matcher)
     call.observer.matching(len(prepared.pairs), method=options.method)
     precision = _precision(prepared)
     mine: list[DepthOutcome | DepthFailure] = []
@@ -356,6 +350,18 @@ def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: Dep
     _record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
     problems = (*prepared.problems, *(failure.problem for failure in failures))
     return DepthRun(options.out or call.folder.depth, outcomes, problems)
+
+
+def _searched(call: _Call, prepared: PreparedSet, matcher: Matcher) -> Window:
+    """The disparities to search, told; a network that was trained for fewer is named."""
+    window = prepared.window_with(matcher.window)
+    call.observer.searching(window)
+    if matcher.window is not None and joined_window((window, matcher.window)) != matcher.window:
+        call.observer.said(
+            f"searched at {window[0]} to {window[1]} px, as these captures need; the network was trained at "
+            f"{matcher.window[0]} to {matcher.window[1]} px"
+        )
+    return window
 
 
 def _depth_of(

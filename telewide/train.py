@@ -123,9 +123,7 @@ def train_prepared(
         UsageError: the training that lies there was begun with another recipe.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
-    plan = plan_stages(recipe.train)
-    if not plan:
-        raise UsageError("the recipe has no stage with steps", hint="set train.rehearsal.steps above 0")
+    plan = _planned(recipe)
     if fresh and processes.is_writer:
         _forget(run)
     processes.wait()
@@ -137,13 +135,24 @@ def train_prepared(
     if processes.is_writer:
         _note_what_is_taken_up(run, record, state)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
-        names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
-        tick = labelling(len(prepared.pairs))
-        write_labels(prepared, names=processes.share(names), window=record.window, tick=tick)
+        _label(prepared, record, processes, tick=labelling(len(prepared.pairs)))
     processes.wait()
     logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
     train(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
     return _outcome(run, plan, state, is_new=True)
+
+
+def _planned(recipe: Recipe) -> tuple[Stage, ...]:
+    plan = plan_stages(recipe.train)
+    if not plan:
+        raise UsageError("the recipe has no stage with steps", hint="set train.rehearsal.steps above 0")
+    return plan
+
+
+def _label(prepared: PreparedSet, record: TrainingRecord, processes: Processes, *, tick: Callable[[], None]) -> None:
+    """Write the labels of this process' share of the captures that training sees."""
+    names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
+    write_labels(prepared, names=processes.share(names), window=record.window, tick=tick)
 
 
 def _take_up(

@@ -80,9 +80,8 @@ def benchmark_matches(
     captures = find_captures(captures_root)
     prepared = prepare_captures(captures, run, recipe=recipe, rig=_suitable_rig(rig, captures, entrants))
     unseen = _unseen_captures(trained_runs)
-    window = prepared.window
-    for entrant in entrants:
-        window = joined_window((window, entrant.contender.window or window))
+    trained = [entrant.contender.window for entrant in entrants if entrant.contender.window is not None]
+    window = joined_window([prepared.window, *trained])
     errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
     for item in prepared.pairs:
         tell(f"{item.capture.name}: {len(item.held_out.ref_px)} matches")
