@@ -19,7 +19,8 @@ from telewide.matching.window import Window
 
 SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
-WIDEST_CONTEXT_PX = 192
+WIDEST_CONTEXT_PX = 320
+"""Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
 LITE_CONTEXT_PX = 128
 """Trained on phones' photos: at this overlap no pixel differs by 0.01 px from the whole image, at 64 px one in 700."""
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from telewide.matching.batch_norm import BatchNorm2d, BatchNorm3d
 from telewide.matching.conv3d import Conv3d
 from telewide.matching.volume import concatenate_views
 from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
@@ -29,17 +30,17 @@ def _conv2d(c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, dilation
     padding = dilation * (kernel // 2)
     return nn.Sequential(
         nn.Conv2d(c_in, c_out, kernel, stride=stride, padding=padding, dilation=dilation, bias=False),
-        nn.BatchNorm2d(c_out),
+        BatchNorm2d(c_out),
     )
 
 
 def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(Conv3d(c_in, c_out, stride=stride, bias=False), nn.BatchNorm3d(c_out))
+    return nn.Sequential(Conv3d(c_in, c_out, stride=stride, bias=False), BatchNorm3d(c_out))
 
 
 def _deconv3d(c_in: int, c_out: int) -> nn.Sequential:
     return nn.Sequential(
-        nn.ConvTranspose3d(c_in, c_out, 3, stride=2, padding=1, output_padding=1, bias=False), nn.BatchNorm3d(c_out)
+        nn.ConvTranspose3d(c_in, c_out, 3, stride=2, padding=1, output_padding=1, bias=False), BatchNorm3d(c_out)
     )
 
 

@@ -1,4 +1,4 @@
-"""Run by torchrun: the gradients of a joint step, and a short training, as each process sees them.
+"""Run by torchrun: the gradients of a joint step, and short trainings, as each process sees them.
 
 python joint_step.py OUT PAIRS
 """
@@ -6,6 +6,7 @@ python joint_step.py OUT PAIRS
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -17,8 +18,8 @@ from training.small import CPU, WINDOW, Heard, ScriptedJudge, source_of, stage_o
 
 from telewide.capture.pair import Capture
 from telewide.matching.inference import full_precision
-from telewide.matching.networks import build_network, standardise
-from telewide.training.checkpoint import frozen_extractor, new_state
+from telewide.matching.networks import NETWORKS, StereoNetwork, build_network, standardise
+from telewide.training.checkpoint import STATE_NAME, TrainingState, frozen_extractor, load_state, new_state
 from telewide.training.data import StepBatches
 from telewide.training.loop import train
 from telewide.training.objective import objective
@@ -31,13 +32,32 @@ STAGES = {
     "one kind each": stage_of(steps=1, rehearsed=1, captured=1, captured_loss="feature", labels_weight=0.2),
     "uneven": stage_of(steps=1, captured=3, captured_loss="photometric", swaps_views=True),
 }
+PRECISE = "psmnet-s in float64"
+"""Fresh from its seed psmnet-s multiplies the rounding of float32 a thousandfold; two summation orders would differ."""
 
 
-def joint_gradients(source: SampleSource, processes: Processes) -> dict[str, torch.Tensor]:
+class _InFloat64(torch.nn.Module):
+    def __init__(self, features: torch.nn.Module) -> None:
+        super().__init__()
+        self.inner = features
+
+    def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        return self.inner(image.double())
+
+
+def _precise_psmnet() -> StereoNetwork:
+    network = NETWORKS["psmnet-s"]()
+    return StereoNetwork(_InFloat64(network.features), network.matching).double()
+
+
+NETWORKS[PRECISE] = _precise_psmnet
+
+
+def joint_gradients(source: SampleSource, processes: Processes, *, name: str = "lite") -> dict[str, torch.Tensor]:
     """All gradients of one step of each stage, flattened, summed over the processes."""
     gradients = {}
-    for name, stage in STAGES.items():
-        network = build_network("lite", seed=1)
+    for key, stage in STAGES.items():
+        network = build_network(name, seed=1)
         with torch.no_grad():  # branches that start at zero pass no gradient on
             for parameter in network.parameters():
                 parameter += 0.01
@@ -48,7 +68,7 @@ def joint_gradients(source: SampleSource, processes: Processes) -> dict[str, tor
             loss, _ = objective(output, batch, stage, window=WINDOW, teacher=teacher, global_sum=processes.global_sum)
         torch.autograd.backward(loss)
         processes.sum_gradients(network)
-        gradients[name] = torch.cat([p.grad.flatten() for p in network.parameters() if p.grad is not None])
+        gradients[key] = torch.cat([p.grad.flatten() for p in network.parameters() if p.grad is not None])
     return gradients
 
 
@@ -68,6 +88,28 @@ def short_training(folder: Path, source: SampleSource, processes: Processes) -> 
     return {"losses": losses, "judgements": heard.judgements, "sum": total, "best_stage": state.best_stage}
 
 
+def stopped_training(folder: Path, source: SampleSource, processes: Processes, *, stop_rank: int) -> TrainingState:
+    """Train psmnet-s in two stages; one process asks to stop within the second, and all go on from the checkpoint."""
+    stage = {"steps": 3, "captured": 3, "captured_loss": "photometric"}
+    options = TrainOptions.model_validate(
+        {"crop_hw": (64, 96), "photometric": stage, "feature": {**stage, "captured_loss": "feature"}, "stages": 1}
+    )
+    training = training_in(
+        folder, source, options=options, judge=ScriptedJudge((0.5, 0.4)), processes=processes, network=PRECISE
+    )
+    state, heard = new_state(PRECISE, seed=1, device=CPU), Heard()
+    if processes.rank == stop_rank:
+        heard.after_step = lambda name, step: signal.raise_signal(signal.SIGINT) if step == 2 else None
+    for _ in range(2):
+        try:
+            train(training, state, reporter=heard)
+        except KeyboardInterrupt:
+            processes.wait()
+            state = load_state(folder / STATE_NAME, network_name=PRECISE, device=CPU)
+    heard.after_step = None
+    return train(training, state, reporter=heard)
+
+
 def main(out: Path, pairs: Path) -> None:
     """Write this process' findings."""
     torch.set_num_threads(1)
@@ -75,9 +117,13 @@ def main(out: Path, pairs: Path) -> None:
     captures = tuple(Capture(path.name, path / "tele.png", path / "wide.png") for path in folders)
     source = source_of(captures, labels=pairs)
     with joined_processes("cpu") as processes:
-        torch.save(joint_gradients(source, processes), out / f"gradients{processes.rank}.pt")
+        for name in ("lite", PRECISE):
+            torch.save(joint_gradients(source, processes, name=name), out / f"{name}{processes.rank}.pt")
         heard = short_training(out / f"train{processes.rank}", source, processes)
         (out / f"heard{processes.rank}.json").write_text(json.dumps(heard))
+        state = stopped_training(out / "stopped", source, processes, stop_rank=1)
+        content = {"network": state.network.state_dict(), "average": state.average.state_dict()}
+        torch.save(content, out / f"stopped{processes.rank}.pt")
 
 
 if __name__ == "__main__":

@@ -125,15 +125,16 @@ def training_in(
     options: TrainOptions | None = None,
     judge: Judge | None = None,
     processes: Processes | None = None,
+    network: str = "lite",
 ) -> Training:
-    """A training of `lite` on this process alone."""
+    """A training on this process alone unless told otherwise."""
     return Training(
         folder=folder,
         options=options or three_stages(),
         source=source,
         judge=judge or ScriptedJudge(),
         seed=5,
-        network_name="lite",
+        network_name=network,
         recipe={},
         device=CPU,
         processes=processes or Processes(),

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from training.joint_step import joint_gradients, short_training
+from training.joint_step import PRECISE, joint_gradients, short_training, stopped_training
 from training.small import WINDOW, rendered, source_of, write_pairs
 
 from telewide.capture.images import write_pfm
 from telewide.simulate.captures import write_captures
 from telewide.training.processes import Processes, joined_processes
-from telewide.training.samples import labels_path
+from telewide.training.samples import SampleSource, labels_path
 
 pytestmark = pytest.mark.slow
 
@@ -40,28 +40,59 @@ def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_two_processes_are_one(tmp_path: Path, repo: Path, labelled: Path) -> None:
+@pytest.fixture(scope="module")
+def joint(tmp_path_factory: pytest.TempPathFactory, repo: Path, labelled: Path) -> Path:
+    """What two processes found in a joint step and in short trainings."""
+    out = tmp_path_factory.mktemp("joint")
     script = repo / "tests" / "training" / "joint_step.py"
-    done = torchrun(str(script), str(tmp_path), str(labelled), cwd=tmp_path, repo=repo)
+    done = torchrun(str(script), str(out), str(labelled), cwd=out, repo=repo)
     assert done.returncode == 0, done.stderr[-3000:]
+    return out
 
-    source = source_of(write_pairs(tmp_path / "again"), labels=labelled)
-    alone = joint_gradients(source, Processes())
-    by_rank = [torch.load(tmp_path / f"gradients{rank}.pt", weights_only=True) for rank in (0, 1)]
-    for name, expected in alone.items():
+
+@pytest.fixture
+def source(tmp_path: Path, labelled: Path) -> SampleSource:
+    """The pairs of the two processes, for one."""
+    return source_of(write_pairs(tmp_path / "again"), labels=labelled)
+
+
+@pytest.mark.parametrize("name", ["lite", PRECISE])
+def test_gradients_of_two_processes_are_those_of_one(joint: Path, source: SampleSource, name: str) -> None:
+    """Batch statistics included: those of psmnet-s are of the joint batch, whoever has which of its crops."""
+    by_rank = [torch.load(joint / f"{name}{rank}.pt", weights_only=True) for rank in (0, 1)]
+    for key, expected in joint_gradients(source, Processes(), name=name).items():
         assert expected.abs().max() > 0
         for gradients in by_rank:
-            torch.testing.assert_close(gradients[name], expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
+            torch.testing.assert_close(gradients[key], expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
 
-    heard = [json.loads((tmp_path / f"heard{rank}.json").read_text()) for rank in (0, 1)]
+
+def test_a_training_of_two_processes_is_that_of_one(tmp_path: Path, joint: Path, source: SampleSource) -> None:
+    heard = [json.loads((joint / f"heard{rank}.json").read_text()) for rank in (0, 1)]
     assert heard[0] == heard[1], "losses, judgements and weights are the same in all processes"
     assert heard[0]["best_stage"] == 1
     assert [answer for _, _, answer in heard[0]["judgements"]] == [0.5, 0.4]
-    assert (tmp_path / "train0" / "weights.safetensors").is_file()
-    assert not (tmp_path / "train1").exists(), "one process writes"
+    assert (joint / "train0" / "weights.safetensors").is_file()
+    assert not (joint / "train1").exists(), "one process writes"
     one = json.loads(json.dumps(short_training(tmp_path / "one", source, Processes())))
     for (_, _, parts), (_, _, expected_parts) in zip(heard[0]["losses"], one["losses"], strict=True):
         assert parts == pytest.approx(expected_parts, rel=1e-3)
+
+
+def test_psmnet_stopped_and_resumed_by_two_processes_is_psmnet_of_one(
+    tmp_path: Path, joint: Path, source: SampleSource
+) -> None:
+    """Weights, running statistics and their average: three crops a step, two here and one there, stopped in between."""
+    one = stopped_training(tmp_path / "one", source, Processes(), stop_rank=-1)
+    for rank in (0, 1):
+        found = torch.load(joint / f"stopped{rank}.pt", weights_only=True)
+        for part, network in (("network", one.network), ("average", one.average)):
+            expected = network.state_dict()
+            for names in (
+                [name for name, _ in network.named_parameters()],
+                [name for name, _ in network.named_buffers()],
+            ):
+                whole, other = (torch.cat([of[name].flatten() for name in names]) for of in (expected, found[part]))
+                assert float((whole - other).norm()) < 1e-5 * float(whole.norm()), f"{part} of rank {rank}"
 
 
 @pytest.fixture
