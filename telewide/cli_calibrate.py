@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -100,14 +100,13 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Print a rig for people: lenses, their distance, how sure each number is, and what the rig is worth."""
-    import yaml
-
     from telewide.calibration.rig_file import read_rig
     from telewide.output.rig_text import rig_lines
+    from telewide.records import read_yaml
 
     stored = read_rig(rig)
     if as_json:
-        print_json(yaml.safe_load(rig.read_text(encoding="utf-8")))
+        print_json(cast(dict[str, object], read_yaml(rig)))
     else:
         typer.echo("\n".join(rig_lines(stored)))
 

@@ -11,10 +11,10 @@ import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TypeVar, get_args
 
-import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from telewide.errors import TelewideError, UsageError
+from telewide.records import parse_yaml
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -23,9 +23,9 @@ _KNOWN_KEYS_SHOWN = 12
 
 
 class Options(BaseModel):
-    """Base of every options class: frozen, no unknown key."""
+    """Base of every options class: frozen, no unknown key, finite numbers."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -79,10 +79,7 @@ def apply_settings(data: Mapping[str, object], settings: Sequence[str]) -> dict[
         path = key.strip().split(".")
         if not equals or not all(path):
             raise UsageError(f"setting {setting!r}: expected key=value, such as train.seed=3")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as caught:
-            raise UsageError(f"setting {setting!r}: {text!r} is no YAML value") from caught
+        value = parse_yaml(text, source=f"setting {_shown(setting)}: this is no YAML value", error=UsageError)
         _set_in(changed, path, value, setting=setting)
     return changed
 

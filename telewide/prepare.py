@@ -23,6 +23,7 @@ import numpy as np
 from telewide.align import Alignment, align_photos, alignment_as_json, alignment_from_json, plain_rig, read_shot_facts
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
+from telewide.capture.facts import FACTS_FILE
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
 from telewide.capture.importer import is_imported
 from telewide.capture.lenses import with_checked_lenses
@@ -145,8 +146,15 @@ def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:
         rig: what there is to rectify with.
 
     Raises:
-        InputError: all captures were imported, no rig lies by them, and nobody states that they are rectified.
+        InputError: no rig lies by them, and they are stated not to be rectified, or all were imported and nobody states
+            that they are rectified.
     """
+    if rig is None and captures.facts.rectified is False:
+        raise InputError(
+            f"{captures.root / FACTS_FILE} states that the captures are not rectified, and no rig.yaml lies by them to "
+            "rectify them with",
+            hint=f"{_how_to_calibrate(captures.root)}; or name a rig with --rig",
+        )
     folders = [capture.tele_path.parent for capture in captures.captures]
     if rig is None and not captures.facts.rectified and folders and all(map(is_imported, folders)):
         raise InputError(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Annotated
 
-import yaml
 from pydantic import Field, field_validator
 
 from telewide.assets import find_asset
-from telewide.errors import UsageError
+from telewide.errors import InputError, UsageError
 from telewide.matching.window import check_window
 from telewide.options import Options, apply_settings, parse_options
+from telewide.records import read_yaml
 from telewide.training.options import TrainOptions
 
 DEFAULT_RECIPE = "default"
@@ -67,9 +67,9 @@ def load_recipe(name: str, *, settings: Sequence[str] = (), seed: int | None = N
     """
     path = find_asset("pipelines", name)
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UsageError(f"recipe {path} cannot be read: {error}", hint="it should be YAML: key: value") from error
+        data = read_yaml(path) or {}
+    except InputError as error:
+        raise UsageError(f"recipe {error.message}", hint="it should be YAML: key: value") from error
     recipe = parse_options(Recipe, data, source=f"recipe {path}", error=UsageError)
     if settings:
         changed = apply_settings(recipe.model_dump(mode="json"), settings)

@@ -18,6 +18,7 @@ from source import FunctionNode, Module, at, functions, imports, module_from_tex
 LAYERS = {
     "errors": 0,
     "options": 0,
+    "records": 0,
     "assets": 0,
     "command_line": 0,
     "cores": 0,

@@ -11,13 +11,13 @@ import difflib
 from typing import Annotated, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from telewide.assets import find_asset, is_yaml, list_assets
 from telewide.errors import InputError, UsageError
 from telewide.options import Options, parse_options
+from telewide.records import read_yaml
 
 FloatArray = NDArray[np.float64]
 
@@ -117,11 +117,7 @@ def load_board(name: str) -> Board:
         hint = f"did you mean {nearest[0]}?" if nearest else "give one of the known boards or the path of a YAML file"
         raise UsageError(f"{name}: no such board; known: {', '.join(known) or 'none'}", hint=hint)
     path = find_asset("calib", name if is_file else _FOLDER + name)
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path} cannot be read as YAML: {error}") from error
-    return parse_options(Board, content, source=str(path), error=InputError)
+    return parse_options(Board, read_yaml(path), source=str(path), error=InputError)
 
 
 def list_boards() -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from telewide.capture.rundir import write_text
 from telewide.errors import InputError, UsageError
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.options import parse_options
+from telewide.records import read_yaml
 
 RIG_FILE = Path("rig.yaml")
 _ANOTHER_RIG = (
@@ -149,15 +150,11 @@ def read_rig(path: Path) -> StoredRig:
         InputError: not a rig file, another version, or a value no rig has; the message names the key.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError as error:
+        data = read_yaml(path)
+    except UsageError as error:
         raise UsageError(f"there is no rig file {path}", hint="telewide calibrate makes one from photos") from error
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}", hint=_ANOTHER_RIG) from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        mark = getattr(error, "problem_mark", None)  # where YAML's own parser gave up
-        place = "" if mark is None else f", line {mark.line + 1}"
-        raise InputError(f"{path}{place}: this is no YAML; a rig file was expected", hint=_ANOTHER_RIG) from error
+    except InputError as error:
+        raise InputError(error.message, hint=_ANOTHER_RIG) from error
     if not isinstance(data, dict):
         found = "is empty" if data is None else "holds no keys and values"
         raise InputError(f"{path} {found}; a rig was expected", hint=_ANOTHER_RIG)

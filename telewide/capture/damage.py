@@ -8,6 +8,7 @@ from pathlib import Path
 from PIL import Image
 
 from telewide.capture.exif import PhotoFacts
+from telewide.records import open_regular
 
 DAMAGED = "cannot be read: the file is cut off or damaged; copy it again from the phone"
 _COARSE_PX = (16, 16)
@@ -33,7 +34,7 @@ def why_damaged(path: Path, facts: PhotoFacts) -> str | None:
 
 def _is_whole_jpeg(path: Path) -> bool:
     try:
-        with warnings.catch_warnings(), path.open("rb") as stream:
+        with warnings.catch_warnings(), open_regular(path) as stream:
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on large photos
             if stream.read(2) != b"\xff\xd8":
                 return True  # HEIC, which counts as JPEG elsewhere

@@ -22,6 +22,7 @@ from telewide.capture.formats import TAG_DNG_VERSION, PhotoFormat, format_by_hea
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import stored_hw
 from telewide.errors import InputError
+from telewide.records import open_regular
 
 _IFD_EXIF, _NEW_SUBFILE = 34665, 254
 _MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL = 271, 272, 274, 50708
@@ -102,7 +103,7 @@ def read_photo_facts(path: Path) -> PhotoFacts:
     """
     head = read_bytes(path, at_most=_HEAD_BYTES)
     kind = format_by_head(path, head)
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         if kind in {"TIFF", "RAW"}:
             tags, hw = _tags_of_tiff(stream)
             kind = "RAW" if TAG_DNG_VERSION in tags else kind

@@ -19,9 +19,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import yaml
-
 from telewide.errors import InputError
+from telewide.records import read_yaml
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -85,12 +84,9 @@ def read_facts(path: Path) -> CaptureFacts:
     Raises:
         InputError: not YAML, not a mapping, an unknown key or a value of the wrong type.
     """
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
+    if not path.exists():
         return CaptureFacts()
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path} cannot be read as YAML: {error}") from error
+    data = read_yaml(path)
     if data is None:
         return CaptureFacts()
     if not isinstance(data, dict):

@@ -14,7 +14,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError
+from telewide.records import open_regular
 
 if TYPE_CHECKING:
     import tifffile
@@ -52,15 +53,11 @@ def read_bytes(path: Path, *, at_most: int = -1) -> bytes:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is a folder, empty, or cannot be opened.
+        InputError: it is no regular file, is empty, or cannot be opened.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             data = stream.read(at_most)
-    except FileNotFoundError as error:
-        raise UsageError(f"{path} does not exist") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path} is a folder; a file was expected") from error
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     if not data:

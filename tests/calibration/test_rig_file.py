@@ -113,8 +113,8 @@ def test_a_bad_value_is_refused_by_its_key(
         ("# only a remark\n", "is empty"),
         ("- 1\n- 2\n", "no keys and values"),
         ("just words", "no keys and values"),
-        ("format: 1\ntele: [", "line 2: this is no YAML"),
-        ("\x00\x01", "this is no YAML"),
+        ("format: 1\ntele: [", "cannot be read as YAML: line 2: expected"),
+        ("\x00\x01", "cannot be read as YAML"),
     ],
 )
 def test_what_is_no_rig_file_is_refused_with_a_way_to_get_one(text: str, said: str, tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_what_is_no_rig_file_is_refused_with_a_way_to_get_one(text: str, said: s
 
 
 def test_a_folder_in_the_place_of_a_rig_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder"):
         read_rig(tmp_path)
 
 

@@ -1,0 +1,251 @@
+"""Safe readers of files that come from other people: bytes, YAML, JSON.
+
+Only regular files are opened: a pipe would wait for ever, a device never ends. How large and how deeply nested a file
+may be is limited before it is parsed, and whatever goes wrong is one message that names the file.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO, NoReturn
+
+import yaml
+
+from telewide.errors import InputError, TelewideError, UsageError
+
+MAX_YAML_BYTES = 1 << 18
+MAX_JSON_BYTES = 1 << 26
+MAX_DEPTH = 40
+MAX_YAML_NODES = 50_000
+_LARGEST_WHOLE = 1 << 63
+_MOST_SHOWN = 30
+_TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
+_TOO_MANY = f"it holds more than {MAX_YAML_NODES} values"
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading; links to one are followed.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The stream, to be closed by the caller.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is a folder, a pipe, a socket or a device, or it cannot be opened.
+    """
+    try:
+        stream = io.FileIO(path, opener=_open_without_waiting)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise UsageError(f"{path} does not exist") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path} is a folder; a file was expected") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        raise InputError(f"{path} is a pipe, a socket or a device; a file was expected")
+    return io.BufferedReader(stream)
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Open a file; opening a pipe would wait for somebody to write into it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_regular(path: Path, *, most_bytes: int | None = None) -> bytes:
+    """Read a regular file.
+
+    Args:
+        path: the file.
+        most_bytes: a larger file is refused; None for any size.
+
+    Returns:
+        Its content.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is no regular file, is too large, or cannot be read.
+    """
+    with open_regular(path) as stream:
+        try:
+            data = stream.read() if most_bytes is None else stream.read(most_bytes + 1)
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    if most_bytes is not None and len(data) > most_bytes:
+        raise InputError(f"{path} is larger than {most_bytes} bytes, too large for what it should hold")
+    return data
+
+
+def read_yaml(path: Path) -> object:
+    """Read a YAML file of at most `MAX_YAML_BYTES`.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Plain data; None where the file is empty. Dates stay texts.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: no regular file, or no YAML.
+    """
+    data = read_regular(path, most_bytes=MAX_YAML_BYTES)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} cannot be read as YAML: it is no text in UTF-8") from error
+    return parse_yaml(text, source=f"{path} cannot be read as YAML", error=InputError)
+
+
+def parse_yaml(text: str, *, source: str, error: type[TelewideError]) -> object:
+    """Parse YAML that somebody else wrote.
+
+    Args:
+        text: one document.
+        source: how the message begins.
+        error: what to raise.
+
+    Returns:
+        Plain data. Dates stay texts.
+
+    Raises:
+        TelewideError: of the given class: no YAML, nested deeper than `MAX_DEPTH`, more than `MAX_YAML_NODES` values with
+            every alias written out, an alias inside of what it names, or a value that is not what its tag says.
+    """
+    try:
+        _check_events(text)
+        content: object = yaml.load(text, _PlainLoader)
+        if _expanded_nodes(content, {}) > MAX_YAML_NODES:
+            raise ValueError(_TOO_MANY)
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as caught:
+        mark = getattr(caught, "problem_mark", None)  # where the parser gave up
+        place = "" if mark is None else f"line {mark.line + 1}: "
+        problem = getattr(caught, "problem", None) or str(caught).partition("\n")[0] or _TOO_DEEP
+        raise error(f"{source}: {place}{problem}") from caught
+    return content
+
+
+def read_json(path: Path) -> object:
+    """Read a JSON file of at most `MAX_JSON_BYTES`.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Plain data; every number in it is finite and fits 64 bits.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: no regular file, or no such JSON.
+    """
+    data = read_regular(path, most_bytes=MAX_JSON_BYTES)
+    try:
+        return parse_json(data)
+    except ValueError as error:
+        raise InputError(f"{path} cannot be read as JSON: {error}") from error
+
+
+def parse_json(text: str | bytes) -> object:
+    """Parse JSON that somebody else wrote.
+
+    Args:
+        text: one value; bytes are UTF-8.
+
+    Returns:
+        Plain data; every number in it is finite and fits 64 bits.
+
+    Raises:
+        ValueError: no JSON, a number that does not exist or is too large, or nested too deeply.
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_finite)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Plain data only: no dates, whose slips would be errors."""
+
+    yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:timestamp"]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Carry out merge keys (``<<``), which copy what they name."""
+        super().flatten_mapping(node)
+        if len(node.value) > MAX_YAML_NODES:
+            raise yaml.constructor.ConstructorError(problem=_TOO_MANY, problem_mark=node.start_mark)
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> object:
+        try:
+            value = super().construct_object(node, deep=deep)
+            if isinstance(value, int) and abs(value) >= _LARGEST_WHOLE:
+                raise ValueError("more than 64 bits")
+        except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as error:
+            kind = str(node.tag).rpartition(":")[2]
+            problem = f"{_shortened(str(node.value))} cannot be read as {kind}"
+            raise yaml.constructor.ConstructorError(problem=problem, problem_mark=node.start_mark) from error
+        return value
+
+
+_PlainLoader.add_constructor("tag:yaml.org,2002:timestamp", yaml.SafeLoader.construct_yaml_str)
+
+
+def _check_events(text: str) -> None:
+    """Refuse what is nested too deeply before it is built: the parser does not recurse, the builder does."""
+    depth = 0
+    for event in yaml.parse(text, yaml.SafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ValueError(_TOO_DEEP)
+
+
+def _expanded_nodes(value: object, sizes: dict[int, int], depth: int = 0) -> int:
+    """Count the values in plain data with every alias written out.
+
+    Args:
+        value: plain data; aliases are shared objects.
+        sizes: of the collections that are counted already, by identity; 0 while one is being counted.
+        depth: how deep it lies.
+    """
+    if not isinstance(value, dict | list | set | tuple):
+        return 1
+    if sizes.get(id(value)) == 0:
+        raise ValueError("it contains itself")
+    if depth > MAX_DEPTH:
+        raise ValueError(_TOO_DEEP)
+    if id(value) not in sizes:
+        sizes[id(value)] = 0
+        inner = [*value, *value.values()] if isinstance(value, dict) else list(value)
+        sizes[id(value)] = 1 + sum(_expanded_nodes(one, sizes, depth + 1) for one in inner)
+    return sizes[id(value)]
+
+
+def _shortened(text: str) -> str:
+    return repr(text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "...")
+
+
+def _refuse_constant(word: str) -> NoReturn:
+    raise ValueError(f"{word} is no number")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > len(str(_LARGEST_WHOLE)) or abs(int(digits)) >= _LARGEST_WHOLE:
+        raise ValueError("a whole number of more than 64 bits")
+    return int(digits)
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"{digits[:20]} is no finite number")
+    return value
