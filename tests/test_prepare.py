@@ -13,7 +13,7 @@ from telewide.capture.images import read_image, read_pfm
 from telewide.capture.pair import find_captures
 from telewide.capture.rundir import RunFolder
 from telewide.errors import InputError
-from telewide.prepare import PreparedSet, prepare_captures, write_labels
+from telewide.prepare import PreparedSet, prepare_captures, refuse_without_rig, write_labels
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.training.samples import labels_path
@@ -97,3 +97,13 @@ def test_what_was_searched_before_is_searched_again_and_what_new_pairs_need_besi
     assert blank.window_with((0, 32)) == (0, 32)
     with pytest.raises(InputError):
         blank.window_with(None)
+
+
+def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: Path) -> None:
+    found = find_captures(captures)
+    for rectified in (True, None):
+        stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=rectified))
+        refuse_without_rig(stated, rig=None)
+    stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=False))
+    with pytest.raises(InputError, match="states that the captures are not rectified"):
+        refuse_without_rig(stated, rig=None)
