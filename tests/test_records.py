@@ -109,7 +109,7 @@ def test_only_regular_files_are_opened(tmp_path: Path, kind: str, reader: Callab
         server = socket.socket(socket.AF_UNIX)
         server.bind(str(path))
         server.close()
-    with pytest.raises(InputError, match="x (is a|cannot be read)"):
+    with pytest.raises(InputError, match=r"x (is a|cannot be read)"):
         reader(path)
 
 
@@ -140,7 +140,7 @@ def test_yaml_that_is_too_large_is_not_parsed(tmp_path: Path) -> None:
     ["", "{", "[" * 100_000, '{"a": ' * 50_000, "Infinity", "[NaN]", "1e400", "1" + "0" * 400, str(1 << 63), '"\x00"'],
 )
 def test_json_that_cannot_be_used_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ValueError, match="."):
+    with pytest.raises(ValueError, match=r"."):
         parse_json(text)
     path = tmp_path / "x.json"
     path.write_text(text)
