@@ -31,9 +31,7 @@ class Options(BaseModel):
 OptionsT = TypeVar("OptionsT", bound=Options)
 
 
-def parse_options(
-    cls: type[OptionsT], data: Mapping[str, object], *, source: str, error: type[TelewideError]
-) -> OptionsT:
+def parse_options(cls: type[OptionsT], data: object, *, source: str, error: type[TelewideError]) -> OptionsT:
     """Check plain data against an options class.
 
     Args:

@@ -24,6 +24,7 @@ MAX_DEPTH = 40
 MAX_YAML_NODES = 50_000
 _LARGEST_WHOLE = 1 << 63
 _MOST_SHOWN = 30
+_DATE = "tag:yaml.org,2002:timestamp"
 _TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
 _TOO_MANY = f"it holds more than {MAX_YAML_NODES} values"
 
@@ -117,8 +118,8 @@ def parse_yaml(text: str, *, source: str, error: type[TelewideError]) -> object:
         Plain data. Dates stay texts.
 
     Raises:
-        TelewideError: of the given class: no YAML, nested deeper than `MAX_DEPTH`, more than `MAX_YAML_NODES` values with
-            every alias written out, an alias inside of what it names, or a value that is not what its tag says.
+        TelewideError: of the given class: no YAML, nested deeper than `MAX_DEPTH`, more than `MAX_YAML_NODES` values
+            with every alias written out, an alias inside of what it names, or a value that is not what its tag says.
     """
     try:
         _check_events(text)
@@ -174,11 +175,6 @@ def parse_json(text: str | bytes) -> object:
 class _PlainLoader(yaml.SafeLoader):
     """Plain data only: no dates, whose slips would be errors."""
 
-    yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:timestamp"]
-        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-    }
-
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Carry out merge keys (``<<``), which copy what they name."""
         super().flatten_mapping(node)
@@ -197,7 +193,11 @@ class _PlainLoader(yaml.SafeLoader):
         return value
 
 
-_PlainLoader.add_constructor("tag:yaml.org,2002:timestamp", yaml.SafeLoader.construct_yaml_str)
+_PlainLoader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != _DATE]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_PlainLoader.add_constructor(_DATE, _PlainLoader.construct_yaml_str)
 
 
 def _check_events(text: str) -> None:

@@ -60,7 +60,7 @@ SLIPS = {
 @pytest.mark.parametrize("text", SLIPS.values(), ids=SLIPS.keys())
 def test_a_slip_in_yaml_is_one_message(text: str) -> None:
     begun_s = time.monotonic()
-    with pytest.raises(InputError, match="^text: ") as caught:
+    with pytest.raises(InputError, match=r"^text: ") as caught:
         plain(text)
     assert len(caught.value.message) < 200
     assert time.monotonic() - begun_s < 10
