@@ -197,7 +197,7 @@ _PlainLoader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in resolvers if tag != _DATE]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
-_PlainLoader.add_constructor(_DATE, _PlainLoader.construct_yaml_str)
+_PlainLoader.add_constructor(_DATE, lambda loader, node: loader.construct_scalar(node))
 
 
 def _check_events(text: str) -> None:
