@@ -24,7 +24,7 @@ MAX_DEPTH = 40
 MAX_YAML_NODES = 50_000
 _LARGEST_WHOLE = 1 << 63
 _MOST_SHOWN = 30
-_DATE = "tag:yaml.org,2002:timestamp"
+_DATE, _TEXT = "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:str"
 _TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
 _TOO_MANY = f"it holds more than {MAX_YAML_NODES} values"
 
@@ -182,6 +182,8 @@ class _PlainLoader(yaml.SafeLoader):
             raise yaml.constructor.ConstructorError(problem=_TOO_MANY, problem_mark=node.start_mark)
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> object:
+        if node.tag == _DATE:
+            node.tag = _TEXT
         try:
             value = super().construct_object(node, deep=deep)
             if isinstance(value, int) and abs(value) >= _LARGEST_WHOLE:
@@ -191,13 +193,6 @@ class _PlainLoader(yaml.SafeLoader):
             problem = f"{_shortened(str(node.value))} cannot be read as {kind}"
             raise yaml.constructor.ConstructorError(problem=problem, problem_mark=node.start_mark) from error
         return value
-
-
-_PlainLoader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag != _DATE]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_PlainLoader.add_constructor(_DATE, lambda loader, node: loader.construct_scalar(node))
 
 
 def _check_events(text: str) -> None:
