@@ -29,6 +29,8 @@ DISTANCE_RATIO = (1.3, 1.0)
 LEFT_OUT = (0.2, 0.5)
 F_STD = (0.002, 0.02)
 BASELINE_STD = (0.01, 0.1)
+LEAST_BASELINE_M = 0.003
+"""Lenses of a phone are no nearer to each other than this: nearer ones are one."""
 EXCESS = (6.0**0.5, 10.0)
 EPIPOLAR_WIDE_PX = (0.75, 2.5)
 """Held-out error p90, in wide pixels, by which a corner can be placed in the wide photo."""
@@ -136,11 +138,26 @@ def _view_checks(evidence: Evidence) -> Iterator[Check]:
     advice = f"All joint views are at about {usual_m:.2g} m. Take some nearer, and some at half again that distance."
     yield at_least("farthest board over nearest", ratio, DISTANCE_RATIO, advice=advice, unit="times")
     left_out = [view for view in evidence.views if not view.is_used]
-    advice = (
-        f"{len(left_out)} of {len(evidence.views)} views disagree with the others and were left out: "
-        f"{_few(sorted({view.shot for view in left_out}))}. Take them anew, board and phone at rest."
-    )
-    yield _at_most("photos left out", len(left_out) / max(len(evidence.views), 1), LEFT_OUT, advice=advice, unit=SHARE)
+    share, advice = len(left_out) / max(len(evidence.views), 1), _left_out_advice(left_out, n=len(evidence.views))
+    yield _at_most("photos left out", share, LEFT_OUT, advice=advice, unit=SHARE)
+
+
+def _left_out_advice(left_out: Sequence[ViewResult], *, n: int) -> str:
+    """What to do about views that disagree, and about those that could not even have taken part."""
+    sentences = []
+    disagreeing = [view for view in left_out if view.is_fit]
+    if disagreeing:
+        names = _few(sorted({view.shot for view in disagreeing}))
+        sentences.append(
+            f"{len(disagreeing)} of {n} views disagree with the others and were left out: {names}. Take them anew, "
+            "board and phone at rest."
+        )
+    unfit = [view for view in left_out if not view.is_fit]
+    for reason in dict.fromkeys(view.reason for view in unfit):
+        alike = [view for view in unfit if view.reason == reason]
+        names = _few(sorted({view.shot for view in alike}))
+        sentences.append(f"{len(alike)} of {n} views could not take part ({names}): {reason}.")
+    return " ".join(sentences)
 
 
 def _lens_checks(evidence: Evidence, lens: Lens) -> Iterator[Check]:
@@ -188,6 +205,15 @@ def _figure_checks(evidence: Evidence, *, p90_px: float, cross_px: float) -> Ite
     )
     limits_px = (ODD_EVEN_WIDE_PX[0] * tele_px, ODD_EVEN_WIDE_PX[1] * tele_px)
     yield _at_most("difference of rigs from half the photos", cross_px, limits_px, advice=advice, unit="tele px")
+    if evidence.rig.is_scale_known:
+        baseline_mm = evidence.rig.baseline_m * 1e3
+        advice = (
+            f"The two lenses come out {baseline_mm:.2g} mm apart, nearer than those of any phone: the same lens twice. "
+            "Near or in dim light phones give an enlarged piece of the wide photo as tele. Step back, give more light, "
+            "and look that the phone uses its tele lens; or measure a square of the board."
+        )
+        limits_mm = (LEAST_BASELINE_M * 1e3, LEAST_BASELINE_M * 1e3)
+        yield at_least("distance of the lenses", baseline_mm, limits_mm, advice=advice, unit="mm")
     relative = evidence.transform_std.baseline_m / max(evidence.rig.baseline_m, 1e-300)
     advice = (
         f"The distance of the lenses, and with it every depth, is known to {relative:.1%} only. Take more joint views, "

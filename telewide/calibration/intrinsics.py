@@ -22,8 +22,11 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 DISAGREES = 2.5
-"""A view whose typical error is this many times the others' does not agree with them."""
-_NEGLIGIBLE_PX = 0.05
+"""A view whose typical error is less than this many times the others' agrees with them."""
+NEGLIGIBLE_PX = 0.1
+"""So does one whose typical error is less than this: no corner of a photo is found better for sure."""
+_DEVIATIONS = 4.0
+_MOST = 4.0
 _ROUNDS = 8
 
 
@@ -136,19 +139,38 @@ def _agreeing(problem: Problem, state: State) -> tuple[Problem, State, BoolArray
 
 
 def agrees(scale_px: FloatArray) -> BoolArray:
-    """Which views agree with most of the others: typical error at most two and a half times that of the better ones.
+    """Tell which views agree with most of the others; see `largest_agreeing_px`.
 
     Args:
         scale_px: (V,) typical errors.
 
     Returns:
-        (V,) bool; errors below 0.05 px always agree.
+        (V,) bool.
+    """
+    return np.asarray(scale_px <= largest_agreeing_px(scale_px))
+
+
+def largest_agreeing_px(scale_px: FloatArray) -> float:
+    """Return the largest typical error with which a view agrees with most of the others.
+
+    Two and a half times that of the better views; up to four times where those differ from each other by much, as near
+    and far boards do: four standard deviations of their logarithm. A third of the views may be ruined, so the better
+    ones are the better two thirds, and their spread is taken below their median.
+
+    Args:
+        scale_px: (V,) typical errors, not finite where there is none.
+
+    Returns:
+        px, 0.1 at least; 0 without a view.
     """
     finite = scale_px[np.isfinite(scale_px)]
     if not len(finite):
-        return np.zeros(len(scale_px), dtype=bool)
-    # The median of the better two thirds: a third of the views may be ruined.
-    return np.asarray(scale_px <= max(DISAGREES * float(np.percentile(finite, 100 / 3)), _NEGLIGIBLE_PX))
+        return 0.0
+    typical_px = max(float(np.percentile(finite, 100 / 3)), 1e-9)
+    better = np.log(np.maximum(finite[finite <= typical_px], 1e-9) / typical_px)
+    # The lower half of a normal distribution about its middle: its mean square is the variance.
+    spread = float(np.sqrt(np.mean(better**2)))
+    return max(typical_px * float(np.clip(np.exp(_DEVIATIONS * spread), DISAGREES, _MOST)), NEGLIGIBLE_PX)
 
 
 def _placed_left_out(problem: Problem, state: State, *, is_used: BoolArray) -> State:

@@ -72,6 +72,8 @@ class ViewResult:
         tilt_deg: angle between the board and the image plane; NaN where unknown.
         distance_m: distance of the board's middle along the optical axis; NaN where unknown.
         square_px: median distance of neighbouring corners in the photo.
+        is_fit: whether it could have taken part, had it agreed with the others; False of a photo held otherwise, for
+            instance.
     """
 
     shot: str
@@ -86,6 +88,7 @@ class ViewResult:
     tilt_deg: float
     distance_m: float
     square_px: float
+    is_fit: bool = True
 
 
 @dataclass(frozen=True)

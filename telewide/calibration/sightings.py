@@ -6,7 +6,7 @@ Letters: S shots; V views of a lens; N corners of the board.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,12 +42,15 @@ class Gathered:
     unfit: dict[tuple[int, int], str]
 
 
-def gather(shots: Sequence[DetectedShot], *, board_points_m: FloatArray) -> Gathered:
+def gather(
+    shots: Sequence[DetectedShot], *, board_points_m: FloatArray, set_aside: Mapping[tuple[int, int], str] | None = None
+) -> Gathered:
     """Sort the detected views into arrays, lens by lens.
 
     Args:
         shots: S detected shots.
         board_points_m: (N, 3) corners by id.
+        set_aside: views that are not to take part: reason by shot index and lens index.
 
     Returns:
         The views that can take part.
@@ -56,13 +59,16 @@ def gather(shots: Sequence[DetectedShot], *, board_points_m: FloatArray) -> Gath
         InputError: a lens has fewer than three views.
         ValueError: a corner id that the board does not have.
     """
-    unfit: dict[tuple[int, int], str] = {}
+    unfit: dict[tuple[int, int], str] = dict(set_aside or {})
+    sizes = _sizes(shots)
     gathered = []
     for lens, name in enumerate(LENSES):
         seen = [(index, view) for index, shot in enumerate(shots) if (view := view_of(shot, lens)) is not None]
         fit = []
-        hw = Counter(view.hw for _, view in seen).most_common(1)[0][0] if seen else (0, 0)
+        hw = sizes[lens]
         for index, view in seen:
+            if (index, lens) in unfit:
+                continue
             reason = _unfit_reason(view, hw=hw, board_points_m=board_points_m, name=name)
             if reason:
                 unfit[index, lens] = reason
@@ -78,6 +84,15 @@ def gather(shots: Sequence[DetectedShot], *, board_points_m: FloatArray) -> Gath
     return Gathered((gathered[0], gathered[1]), unfit)
 
 
+def _sizes(shots: Sequence[DetectedShot]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Sizes of the photos of tele and wide that take part: those of most joint shots, so that both lenses have one."""
+    joint = Counter((shot.tele.hw, shot.wide.hw) for shot in shots if shot.tele is not None and shot.wide is not None)
+    if joint:
+        return joint.most_common(1)[0][0]
+    tele, wide = (Counter(view.hw for shot in shots if (view := view_of(shot, lens)) is not None) for lens in (0, 1))
+    return tele.most_common(1)[0][0] if tele else (0, 0), wide.most_common(1)[0][0] if wide else (0, 0)
+
+
 def view_of(shot: DetectedShot, lens: int) -> BoardView | None:
     """A shot's view by lens index: 0 tele, 1 wide."""
     return shot.wide if lens else shot.tele
@@ -91,13 +106,10 @@ def square_px(points_px: FloatArray) -> float:
 def _unfit_reason(view: BoardView, *, hw: tuple[int, int], board_points_m: FloatArray, name: str) -> str:
     if len(view.ids) and not (view.ids.min() >= 0 and view.ids.max() < len(board_points_m)):
         raise ValueError(f"corner ids reach {view.ids.max()}; the board has {len(board_points_m)} corners")
-    if view.hw == hw[::-1]:
-        return (
-            f"the photo is turned: {view.hw[1]} x {view.hw[0]} px, but most {name} photos are {hw[1]} x {hw[0]}; hold "
-            "the phone alike for all board photos, and turn the board instead"
-        )
     if view.hw != hw:
-        return f"{view.hw[1]} x {view.hw[0]} px, but most {name} photos have {hw[1]} x {hw[0]}"
+        sizes = f"{view.hw[1]} x {view.hw[0]} px, but most {name} photos are {hw[1]} x {hw[0]}"
+        how = "hold the phone alike for all board photos, and turn the board instead"
+        return f"the photo is turned: {sizes}; {how}" if view.hw == hw[::-1] else sizes
     if len(view.ids) < MIN_CORNERS:
         return f"only {len(view.ids)} corners were found, {MIN_CORNERS} are needed"
     for points in (board_points_m[view.ids, :2], view.points_px):

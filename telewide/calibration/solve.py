@@ -6,13 +6,13 @@ then everything at once. Letters: S shots; N corners of the board.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.checks import Evidence, quality_of
+from telewide.calibration.checks import LEAST_BASELINE_M, Evidence, quality_of
 from telewide.calibration.distortion import ASPECT, BELIEVED, CX, CY, N_LENS, F, n_coefficients
 from telewide.calibration.exchanged import WIDER
 from telewide.calibration.extrinsics import (
@@ -29,7 +29,7 @@ from telewide.calibration.models import free_numbers, raised_models
 from telewide.calibration.problem import RIG, Problem, State
 from telewide.calibration.result import BoardPose, Calibration, CameraStd, TransformStd
 from telewide.calibration.shots import DetectedShot
-from telewide.calibration.sightings import Gathered, gather, square_px
+from telewide.calibration.sightings import MIN_VIEWS, Gathered, gather, square_px
 from telewide.calibration.uncertainty import Uncertainty, uncertainty
 from telewide.calibration.validation import rig_of, validate
 from telewide.calibration.views import view_results
@@ -48,6 +48,19 @@ class _Solution:
     problem: Problem
     state: State
     agreed: Agreement
+
+    @property
+    def baseline_m(self) -> float:
+        return float(np.linalg.norm(self.state.rig_t))
+
+
+@dataclass(frozen=True)
+class _First:
+    """A solution, the views it was found from, and which numbers of it were fitted."""
+
+    gathered: Gathered
+    solution: _Solution
+    free: NDArray[np.bool_]
 
 
 def calibrate_rig(
@@ -68,12 +81,11 @@ def calibrate_rig(
         InputError: no rig can be had: too few views, shots that contradict each other, lenses exchanged.
     """
     rng = np.random.default_rng(seed)
-    gathered = gather(shots, board_points_m=board_points_m)
-    fits = [fit_lens(views, board_m=board_points_m, n_shots=len(shots), rng=rng) for views in gathered.views]
-    free = np.concatenate([fits[0].free, fits[1].free, np.ones(6, dtype=bool)])
-    _refuse_exchanged(fits, gathered)
-    solution = _solved(fits, gathered, board_m=board_points_m, free=free)
-    free = raised_models(solution.problem, solution.state, free=free, rng=rng)
+    first = _first_solution(shots, board_m=board_points_m, set_aside={}, rng=rng)
+    if is_scale_known:
+        first = _of_two_lenses(shots, first, board_m=board_points_m, rng=rng)
+    gathered, solution = first.gathered, first.solution
+    free = raised_models(solution.problem, solution.state, free=first.free, rng=rng)
     problem, state = solve_together(solution.problem, solution.state, free=free)
     solution = replace(solution, problem=problem, state=state)
     sure = uncertainty(solution.problem, solution.state, free=_doubted(free))
@@ -105,6 +117,59 @@ def _calibration(evidence: Evidence, *, board_poses: tuple[BoardPose, ...]) -> C
         half_rigs=evidence.half_rigs,
         quality=quality_of(evidence),
     )
+
+
+def _first_solution(
+    shots: Sequence[DetectedShot],
+    *,
+    board_m: FloatArray,
+    set_aside: Mapping[tuple[int, int], str],
+    rng: np.random.Generator,
+) -> _First:
+    gathered = gather(shots, board_points_m=board_m, set_aside=set_aside)
+    fits = [fit_lens(views, board_m=board_m, n_shots=len(shots), rng=rng) for views in gathered.views]
+    free = np.concatenate([fits[0].free, fits[1].free, np.ones(6, dtype=bool)])
+    _refuse_exchanged(fits, gathered)
+    return _First(gathered, _solved(fits, gathered, board_m=board_m, free=free), free)
+
+
+def _of_two_lenses(
+    shots: Sequence[DetectedShot], first: _First, *, board_m: FloatArray, rng: np.random.Generator
+) -> _First:
+    """Tell shots of two lenses from those of one lens twice, where some of the shots contradict the others.
+
+    A phone that gives an enlarged piece of its wide photo as tele does so for some of the shots: those agree with each
+    other as well as the true ones do, but on lenses that stand in one place.
+
+    Returns:
+        The solution from the shots of two lenses, the others set aside with that reason; the first where the shots that
+        contradict it have no solution of their own, or one that tells no more.
+    """
+    taking_part = _tele_views(first, is_used=True)
+    if len(_tele_views(first, is_used=False)) < MIN_VIEWS:
+        return first
+    try:
+        aside = dict.fromkeys(taking_part, "")
+        second = _first_solution(shots, board_m=board_m, set_aside=aside, rng=rng.spawn(1)[0])
+    except InputError:  # they contradict each other too
+        return first
+    one_lens, two_lenses = sorted((first, second), key=lambda each: each.solution.baseline_m)
+    if not one_lens.solution.baseline_m < LEAST_BASELINE_M <= two_lenses.solution.baseline_m:
+        return first
+    reason = (
+        f"the same lens twice: tele and wide stand {one_lens.solution.baseline_m * 1e3:.1f} mm apart in these shots, "
+        f"{two_lenses.solution.baseline_m * 1e3:.1f} mm in the others; the phone gave an enlarged piece of its wide "
+        "photo as tele, as it does near and in dim light"
+    )
+    twice = dict.fromkeys(_tele_views(one_lens, is_used=True), reason)
+    return _first_solution(shots, board_m=board_m, set_aside=twice, rng=rng)
+
+
+def _tele_views(found: _First, *, is_used: bool) -> list[tuple[int, int]]:
+    """Tele views of joint shots that take part, or do not, by shot index and lens index."""
+    tele, wide = found.gathered.views
+    used = found.solution.agreed.is_used(0)
+    return [(int(shot), 0) for shot in tele.shot if used[shot] == is_used and shot in wide.shot]
 
 
 def _doubted(free: NDArray[np.bool_]) -> NDArray[np.bool_]:

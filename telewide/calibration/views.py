@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from telewide.calibration.detect import BoardView
 from telewide.calibration.distortion import project
 from telewide.calibration.extrinsics import Agreement
+from telewide.calibration.intrinsics import largest_agreeing_px
 from telewide.calibration.problem import State
 from telewide.calibration.result import ViewResult
 from telewide.calibration.shots import DetectedShot
 from telewide.calibration.sightings import LENSES, Gathered, square_px, view_of
 
 FloatArray = NDArray[np.float64]
+
+_SLIGHTLY_PX = 1.0
+"""Another lens or another board is off by more."""
 
 
 def view_results(
@@ -55,17 +59,28 @@ def view_results(
 
 
 def _reason(agreed: Agreement, index: int, lens: int) -> str:
-    typical = agreed.alone_px[lens][agreed.is_used(lens)]
-    usual_px = float(np.median(typical)) if len(typical) else float("nan")
+    """Say what the figure is, what it is held against, and what may have caused it."""
+    name = LENSES[lens]
     if not agreed.alone[lens][index]:
+        off_px = agreed.alone_px[lens][index]
+        usual_px = float(np.median(agreed.alone_px[lens][agreed.alone[lens]])) if agreed.alone[lens].any() else np.nan
+        causes = "blurred, or board or phone moved during the exposure"
+        if off_px > _SLIGHTLY_PX:
+            causes += "; or taken with another lens, or of another board"
         return (
-            f"the corners do not fit a board: off by {agreed.alone_px[lens][index]:.2f} px, others by {usual_px:.2f}; "
-            "blurred, moved during the exposure, taken with the other lens, or another board"
+            f"its corners do not fit a board: their typical error along x or y is {off_px:.2f} px, in the other {name} "
+            f"photos {usual_px:.2f} px, and {largest_agreeing_px(agreed.alone_px[lens]):.2f} px would agree; {causes}"
         )
-    pair = [agreed.together_px[k][index] for k in (0, 1)]
+    candidates = agreed.alone[0] & agreed.alone[1]
+    tele_px, wide_px = (float(errors_px[index]) for errors_px in agreed.together_px)
+    most_tele_px, most_wide_px = (largest_agreeing_px(errors_px[candidates]) for errors_px in agreed.together_px)
+    causes = "something moved between the two photos"
+    if max(tele_px, wide_px) > _SLIGHTLY_PX:
+        causes += ", or they do not belong together"
     return (
-        "its tele and wide photo disagree about where the board is: off by "
-        f"{pair[0]:.2f} px in tele and {pair[1]:.2f} px in wide; they do not belong together, or something moved"
+        "its tele and wide photo disagree about where the board is: with one place for both, the typical error along x "
+        f"or y is {tele_px:.2f} px in tele and {wide_px:.2f} px in wide, and {most_tele_px:.2f} and "
+        f"{most_wide_px:.2f} px would agree; {causes}"
     )
 
 
@@ -106,4 +121,5 @@ def _unfit(name: str, view: BoardView, *, lens: int, reason: str) -> ViewResult:
         tilt_deg=nan,
         distance_m=nan,
         square_px=square_px(view.points_px) if len(view.ids) > 1 else nan,
+        is_fit=False,
     )
