@@ -22,6 +22,7 @@ from telewide.calibration.exchanged import refuse_exchanged
 from telewide.calibration.recognise import recognise_board
 from telewide.calibration.result import Calibration
 from telewide.calibration.rig_file import RIG_FILE, RigFacts, write_rig
+from telewide.calibration.shot_facts import with_checked_facts
 from telewide.calibration.shots import BoardShot, detect_shots, find_board_shots
 from telewide.calibration.solve import calibrate_rig
 from telewide.capture.exif import common_pipeline, read_photo_facts
@@ -108,7 +109,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
         UsageError: no such folder or board, or a size no board has.
         InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
     """
-    shots = find_board_shots(boards)
+    shots = with_checked_facts(find_board_shots(boards))
     observer.said(f"{counted(len(shots), 'shot')} in {boards}")
     pipeline = common_pipeline(_paths(shots))
     chosen = _chosen_board(shots, options, observer)
@@ -211,7 +212,7 @@ def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOption
 def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> tuple[str, FloatMap, FloatMap] | None:
     """The joint shot whose board is at the middle distance, rectified; None where there is none."""
     used = {(view.shot, view.camera): view for view in calibration.views if view.is_used}
-    by_name = {shot.name: shot for shot in shots}
+    by_name = {shot.name: shot for shot in shots if not (shot.tele_turn_deg or shot.wide_turn_deg)}
     joint = [name for name, lens in used if lens == "tele" and (name, "wide") in used and name in by_name]
     if not joint:
         return None

@@ -130,6 +130,27 @@ def test_photos_made_in_two_ways_have_no_rig_in_common(boards: Path, tmp_path: P
     assert not (tmp_path / "rig.yaml").exists()
 
 
+def test_shots_of_which_half_are_turned_by_their_exif_give_the_same_rig(boards: Path, tmp_path: Path) -> None:
+    """The sensor does not know how the phone was held: the same pixels, once upright and once on their side."""
+    rigs = []
+    for name, turned in (("upright", 1), ("half", 6)):
+        for number, shot in enumerate(sorted(boards.iterdir())[:8]):
+            for path in sorted(shot.glob("*.png")):
+                exif = Image.Exif()
+                exif[274] = turned if number % 2 else 1
+                to = tmp_path / name / shot.name / f"{path.stem}.jpg"
+                to.parent.mkdir(parents=True, exist_ok=True)
+                Image.open(path).save(to, exif=exif, quality=95)
+        options = CalibrateOptions(board=BOARD, out=tmp_path / f"{name}.yaml", processes=1)
+        rigs.append(calibrate_boards(tmp_path / name, options=options, observer=Listener()).calibration)
+    upright, half = rigs
+    assert all(view.is_used for view in half.views)
+    assert half.rig.tele.hw == upright.rig.tele.hw
+    assert half.rig.baseline_m == pytest.approx(upright.rig.baseline_m, rel=0.01)
+    assert half.rig.tele.f_px == pytest.approx(upright.rig.tele.f_px, rel=1e-3)
+    np.testing.assert_allclose(half.rig.tele.K[:2, 2], upright.rig.tele.K[:2, 2], atol=0.5)
+
+
 @pytest.mark.parametrize("is_by_lens", [True, False])
 def test_exchanged_photos_stop_before_the_solve_with_the_places_to_rename(
     boards: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], is_by_lens: bool

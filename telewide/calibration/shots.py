@@ -20,12 +20,11 @@ from telewide.calibration.boards import Board
 from telewide.calibration.detect import BoardView
 from telewide.calibration.detect_photos import PhotoResult, detect_photos
 from telewide.calibration.pattern import aruco_dictionary
-from telewide.calibration.turned import alike_numbered
+from telewide.calibration.turned import alike_numbered, turned_view
 from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
-from telewide.capture.layout import is_same_file
+from telewide.capture.layout import VIEWS, is_same_file, joined_by_case
 from telewide.errors import InputError, UsageError
 
-_VIEWS = ("tele", "wide")
 _CLOSE_UPS = {"tele_close": "tele", "wide_close": "wide"}
 _LOSSY_SUFFIXES = frozenset({".jpg", ".jpeg"})
 _MAX_LISTED = 5
@@ -41,12 +40,16 @@ class BoardShot:
         tele_path: photo of the tele camera, if there is one.
         wide_path: photo of the wide camera, if there is one.
         notes: what was chosen or left aside, for people.
+        tele_turn_deg: how far clockwise the tele photo is to be turned to be held like most, a multiple of 90.
+        wide_turn_deg: likewise of the wide photo.
     """
 
     name: str
     tele_path: Path | None
     wide_path: Path | None
     notes: tuple[str, ...] = ()
+    tele_turn_deg: int = 0
+    wide_turn_deg: int = 0
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
     for entry in _visible(folder):
         if entry.is_dir():
             _add_folder(candidates, entry)
-    shots = tuple(_shot(name, views) for name, views in sorted(candidates.items()))
+    shots = tuple(_shot(name, views) for name, views in sorted(joined_by_case(candidates).items()))
     if not shots:
         names = [entry.name for entry in _visible(folder)]
         more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
@@ -145,9 +148,9 @@ def _add_folder(candidates: _Candidates, folder: Path) -> None:
         stem = unicodedata.normalize("NFC", file.stem)
         if role in _CLOSE_UPS:
             candidates[f"{role}/{stem}"][_CLOSE_UPS[role]].append(file)
-        elif role in _VIEWS:
+        elif role in VIEWS:
             candidates[stem][role].append(file)
-        elif stem.casefold() in _VIEWS:
+        elif stem.casefold() in VIEWS:
             candidates[unicodedata.normalize("NFC", folder.name)][stem.casefold()].append(file)
 
 
@@ -187,7 +190,11 @@ def _is_raw(path: Path) -> bool:
 
 def _detected(shot: BoardShot, found: dict[str, PhotoResult], board: Board) -> DetectedShot:
     notes = [*shot.notes, *(f"{view}: {result.note}" for view, result in found.items() if result.note)]
-    tele, wide = (found[view].view if view in found else None for view in _VIEWS)
+    turns_deg = {"tele": shot.tele_turn_deg, "wide": shot.wide_turn_deg}
+    tele, wide = (
+        turned_view(result, turns_deg[view]) if view in found and (result := found[view].view) else None
+        for view in VIEWS
+    )
     if tele is not None and wide is not None:
         wide, turned_note = alike_numbered(tele, wide, board=board)
         notes += [turned_note] if turned_note else []

@@ -1,4 +1,4 @@
-"""Which end of a board is up, where its print does not say: both lenses of a phone look the same way.
+"""Photos and boards that are turned: both lenses of a phone look the same way, whichever end of a board is up.
 
 A direction is an angle in the photo, from x towards y. Letters: N corners.
 """
@@ -30,6 +30,23 @@ def direction_deg(view: BoardView, *, board: Board) -> float:
     x_y_1 = np.column_stack([board_points_m(board)[view.ids, :2], np.ones(len(view.ids))])
     px_per_m = np.linalg.lstsq(x_y_1, view.points_px, rcond=None)[0]
     return float(np.degrees(np.arctan2(px_per_m[0, 1], px_per_m[0, 0])))
+
+
+def turned_view(view: BoardView, clockwise_deg: int) -> BoardView:
+    """Turn the corners found in a photo as the photo would be turned.
+
+    Args:
+        view: the corners.
+        clockwise_deg: a multiple of 90.
+
+    Returns:
+        The corners of the turned photo.
+    """
+    for _ in range(clockwise_deg // 90 % 4):
+        height, width = view.hw
+        points_px = np.stack([height - 1 - view.points_px[:, 1], view.points_px[:, 0]], axis=1)
+        view = replace(view, points_px=points_px, hw=(width, height))
+    return view
 
 
 def alike_numbered(tele: BoardView, wide: BoardView, *, board: Board) -> tuple[BoardView, str | None]:

@@ -142,35 +142,26 @@ def _joined_by_case(found: _Candidates) -> _Candidates:
     return joined
 
 
-def joined_by_case(groups: Mapping[str, dict[str, list[Path]]]) -> dict[str, dict[str, list[Path]]]:
-    """Join groups of files whose names differ by letter case alone, where the files of one are missing in the other.
+def joined_by_case(groups: Mapping[str, Mapping[str, list[Path]]]) -> dict[str, dict[str, list[Path]]]:
+    """Join groups of files whose names differ by letter case alone, where each has what the others miss.
 
     Args:
-        groups: by name: files by role, tele and wide among the roles. What has both is whole.
+        groups: by name: files by role, tele and wide among the roles.
 
     Returns:
-        The groups; of those of one name but for the case all that are not whole make one, which goes to the whole one
-        if it brings nothing but a truth.
+        The groups; a joined one has the name of that with the tele photo.
     """
     by_fold: dict[str, list[str]] = defaultdict(list)
     for name in sorted(groups):
         by_fold[name.casefold()].append(name)
     joined: dict[str, dict[str, list[Path]]] = {}
     for names in by_fold.values():
-        whole = [name for name in names if all(groups[name].get(view) for view in VIEWS)]
-        parts = [name for name in names if name not in whole]
-        joined |= {name: groups[name] for name in whole}
-        if not parts:
-            continue
-        roles: dict[str, list[Path]] = defaultdict(list)
-        for name in parts:
-            for role, files in groups[name].items():
-                roles[role] += files
-        named_for_tele = next((name for name in parts if groups[name].get("tele")), parts[0])
-        if len(whole) == 1 and set(roles) == {TRUTH}:
-            joined[whole[0]] = {**roles, **groups[whole[0]]}
+        roles = [role for name in names for role in groups[name]]
+        if len(set(roles)) < len(roles):
+            joined |= {name: dict(groups[name]) for name in names}
         else:
-            joined[named_for_tele] = roles
+            named = next((name for name in names if "tele" in groups[name]), names[0])
+            joined[named] = {role: files for name in names for role, files in groups[name].items()}
     return joined
 
 

@@ -54,6 +54,13 @@ def test_every_layout_also_mixed(tmp_path: Path) -> None:
     assert [shot.name for shot in shots] == sorted(found)
 
 
+def test_the_photos_of_a_shot_are_found_by_any_letter_case(tmp_path: Path) -> None:
+    touch(tmp_path, "tele/IMG_1.JPG", "wide/img_1.jpg", "tele_close/A.jpg", "tele_close/a.jpg")
+    shots = {shot.name: (shot.tele_path, shot.wide_path) for shot in find_board_shots(tmp_path)}
+    assert shots["IMG_1"] == (tmp_path / "tele" / "IMG_1.JPG", tmp_path / "wide" / "img_1.jpg")
+    assert set(shots) == {"IMG_1", "tele_close/A", "tele_close/a"}
+
+
 def test_raw_only_where_both_lenses_have_it(tmp_path: Path) -> None:
     touch(tmp_path, "a/tele.dng", "a/tele.jpg", "a/wide.jpg", "b/tele.dng", "b/tele.jpg", "b/wide.jpg", "b/wide.dng")
     a, b = find_board_shots(tmp_path)
