@@ -21,12 +21,19 @@ from telewide.calibration.detect import BoardView
 from telewide.calibration.detect_photos import PhotoResult, detect_photos
 from telewide.calibration.pattern import aruco_dictionary
 from telewide.calibration.turned import alike_numbered, turned_view
-from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
+from telewide.capture.formats import (
+    HEIF_SUFFIXES,
+    JPEG_SUFFIXES,
+    PHOTO_SUFFIXES,
+    RAW_SUFFIXES,
+    READ_KINDS,
+    UNREAD_SUFFIXES,
+)
 from telewide.capture.layout import VIEWS, is_same_file, joined_by_case
 from telewide.errors import InputError, UsageError
 
 _CLOSE_UPS = {"tele_close": "tele", "wide_close": "wide"}
-_LOSSY_SUFFIXES = frozenset({".jpg", ".jpeg"})
+_LOSSY_SUFFIXES = JPEG_SUFFIXES | {".webp"}
 _MAX_LISTED = 5
 _LAYOUTS = "<shot>/tele.* with <shot>/wide.*, or tele/<shot>.* with wide/<shot>.*; tele_close/ and wide_close/ alone"
 
@@ -143,7 +150,7 @@ def detect_shots(
 def _add_folder(candidates: _Candidates, folder: Path) -> None:
     role = folder.name.casefold().replace("-", "_").replace(" ", "_")
     for file in _visible(folder):
-        if file.suffix.lower() not in PHOTO_SUFFIXES or not file.is_file():
+        if file.suffix.lower() not in PHOTO_SUFFIXES | UNREAD_SUFFIXES or not file.is_file():
             continue
         stem = unicodedata.normalize("NFC", file.stem)
         if role in _CLOSE_UPS:
@@ -166,7 +173,11 @@ def _shot(name: str, views: dict[str, list[Path]]) -> BoardShot:
     are_all_raw = all(any(_is_raw(path) for path in paths) for paths in views.values())
     chosen: dict[str, Path] = {}
     notes = []
-    for view, paths in views.items():
+    for view, files in views.items():
+        paths = [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
+        if not paths:
+            notes.append(f"{view}: {files[0]} cannot be read; {READ_KINDS} are read")
+            continue
         chosen[view], *others = sorted(paths, key=lambda path: (_rank(path, is_raw_first=are_all_raw), str(path)))
         # A RAW and its JPEG are one photo, nothing to speak of.
         if others and any(path.stem != chosen[view].stem or path.parent != chosen[view].parent for path in others):

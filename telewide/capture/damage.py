@@ -5,9 +5,9 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-from PIL import Image
-
 from telewide.capture.exif import PhotoFacts
+from telewide.capture.pillow_photos import open_photo
+from telewide.errors import InputError
 from telewide.records import open_regular
 
 DAMAGED = "cannot be read: the file is cut off or damaged; copy it again from the phone"
@@ -29,7 +29,10 @@ def why_damaged(path: Path, facts: PhotoFacts) -> str | None:
     """
     if facts.kind != "raw" and facts.hw is None:
         return DAMAGED
-    return DAMAGED if facts.kind == "jpeg" and not _is_whole_jpeg(path) else None
+    try:
+        return DAMAGED if facts.kind == "jpeg" and not _is_whole_jpeg(path) else None
+    except InputError as error:
+        return error.message.removeprefix(f"{path} ")
 
 
 def _is_whole_jpeg(path: Path) -> bool:
@@ -39,7 +42,7 @@ def _is_whole_jpeg(path: Path) -> bool:
             if stream.read(2) != b"\xff\xd8":
                 return True  # HEIC, which counts as JPEG elsewhere
             stream.seek(0)
-            with Image.open(stream, formats=("JPEG",)) as photo:
+            with open_photo(path, stream, "JPEG") as photo:
                 photo.draft("L", _COARSE_PX)
                 photo.load()
     except (OSError, SyntaxError, ValueError):

@@ -21,6 +21,7 @@ from PIL import Image, TiffImagePlugin
 from telewide.capture.formats import TAG_DNG_VERSION, PhotoFormat, format_by_head, open_tiff, read_bytes
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import stored_hw
+from telewide.capture.sizes import read_hw
 from telewide.errors import InputError
 from telewide.records import open_regular
 
@@ -30,11 +31,13 @@ _FOCAL_LENGTH, _F35, _DIGITAL_ZOOM, _DISTANCE = 37386, 41989, 41988, 37382
 # Date, its fraction of a second, its offset from UTC; the moment of exposure first.
 _DATES = ((36867, 37521, 36881), (36868, 37522, 36882), (306, 37520, 36880))
 _LONGEST_FOCAL_MM = 2000.0
+_FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _FARTHEST_M = 10_000.0
+_MOST_DIGITS = 9
 _INFINITY = 0xFFFFFFFF
 _HEAD_BYTES = 64
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
-_KINDS = {"JPEG": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
+_KINDS = {"JPEG": "jpeg", "WEBP": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
 
 Tags = Mapping[int, object]
 
@@ -44,8 +47,8 @@ class PhotoFacts:
     """What a photo states about itself; None where it says nothing believable.
 
     Attributes:
-        kind: "raw", "jpeg" (HEIC too: the same processing in the phone), "tiff" or "png".
-        hw: height and width, px, upright.
+        kind: "raw", "jpeg" (WebP, HEIC and AVIF too: the same processing in the phone), "tiff" or "png".
+        hw: height and width in which the photo is read, px, upright.
         make: of the phone.
         model: of the phone.
         focal_length_mm: physical: which lens.
@@ -213,7 +216,7 @@ def _tags_of_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> tuple[Tag
         warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
         with open_photo(path, stream, kind) as photo:
             exif = photo.getexif()
-            return {**exif, **exif.get_ifd(_IFD_EXIF)}, (photo.height, photo.width)
+            return {**exif, **exif.get_ifd(_IFD_EXIF)}, read_hw((photo.height, photo.width))
     return {}, None
 
 
@@ -226,7 +229,7 @@ def _tags_of_tiff(stream: BinaryIO) -> tuple[Tags, tuple[int, int] | None]:
         for name, value in (first.tags.valueof(_IFD_EXIF) or {}).items():
             tags[int(tifffile.TIFF.EXIF_TAGS[name]) if isinstance(name, str) else int(name)] = value
         is_plain = TAG_DNG_VERSION not in tags and first.tags.valueof(_NEW_SUBFILE, default=0) == 0
-        return tags, (int(first.imagelength), int(first.imagewidth)) if is_plain else stored_hw(tiff)
+        return tags, read_hw((int(first.imagelength), int(first.imagewidth))) if is_plain else stored_hw(tiff)
     return tags, None
 
 
@@ -254,7 +257,7 @@ def _fraction(value: object) -> tuple[float, float] | None:
     """Return numerator and denominator of what the readers return for a number."""
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
-    if isinstance(value, tuple | list) and len(value) == 2:
+    if isinstance(value, tuple | list) and len(value) == 2 and all(isinstance(part, int | float) for part in value):
         return float(value[0]), float(value[1])
     if isinstance(value, TiffImagePlugin.IFDRational):
         return float(value.numerator), float(value.denominator)
@@ -265,8 +268,10 @@ def _number(value: object) -> float | None:
     fraction = _fraction(value)
     if fraction is None or fraction[1] == 0:
         return None
-    number = fraction[0] / fraction[1]
-    return number if math.isfinite(number) else None
+    with suppress(OverflowError):
+        number = fraction[0] / fraction[1]
+        return number if math.isfinite(number) else None
+    return None
 
 
 def _within(value: float | None, limit: float) -> float | None:
@@ -297,8 +302,10 @@ def _moment(tags: Tags) -> tuple[datetime | None, float | None]:
             taken = datetime.strptime(date, "%Y:%m:%d %H:%M:%S")
         except ValueError:
             continue
+        if not _FIRST_YEAR <= taken.year <= _LAST_YEAR:
+            continue
         fraction = _text(tags.get(fraction_tag)) or ""
-        digits = fraction if fraction.isdecimal() else ""
+        digits = fraction[:_MOST_DIGITS] if fraction.isascii() and fraction.isdecimal() else ""
         taken += timedelta(seconds=float(f"0.{digits}0"))
         with suppress(ValueError):
             taken = taken.replace(tzinfo=datetime.strptime(_text(tags.get(offset_tag)) or "", "%z").tzinfo)

@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
@@ -20,9 +21,10 @@ from telewide.records import open_regular
 if TYPE_CHECKING:
     import tifffile
 
-PhotoFormat = Literal["JPEG", "PNG", "TIFF", "HEIF", "AVIF", "RAW"]
+PhotoFormat = Literal["JPEG", "PNG", "TIFF", "WEBP", "HEIF", "AVIF", "RAW"]
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+JPEG_SUFFIXES = frozenset({".jpg", ".jpeg", ".mpo"})
+IMAGE_SUFFIXES = JPEG_SUFFIXES | {".png", ".tif", ".tiff", ".webp"}
 RAW_SUFFIXES = frozenset(
     {
         *(".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos", ".mrw"),
@@ -31,6 +33,14 @@ RAW_SUFFIXES = frozenset(
 )
 HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif", ".avif"})
 PHOTO_SUFFIXES = IMAGE_SUFFIXES | RAW_SUFFIXES | HEIF_SUFFIXES
+UNREAD_SUFFIXES = frozenset(
+    {
+        *(".bmp", ".dib", ".exr", ".gif", ".hdr", ".j2k", ".jp2", ".jpf", ".jxl", ".jxr", ".pbm", ".pgm", ".pnm"),
+        *(".ppm", ".psd", ".svg", ".tga", ".xcf", ".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"),
+    }
+)
+"""Pictures and films that are told, not read."""
+READ_KINDS = "JPEG, PNG, TIFF, WebP, HEIC, AVIF, DNG and other RAW"
 
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 TAG_DNG_VERSION = 50706
@@ -38,7 +48,7 @@ TAG_DNG_VERSION = 50706
 # What parsing a damaged file can raise.
 _DAMAGES = (ValueError, OSError, IndexError, KeyError, TypeError, AttributeError, ZeroDivisionError, OverflowError)
 _PNG = b"\x89PNG\r\n\x1a\n"
-_READ = "JPEG, PNG, TIFF, HEIC, DNG and other RAW are read"
+_MAX_DIRECTORIES = 64
 
 
 def read_bytes(path: Path, *, at_most: int = -1) -> bytes:
@@ -99,6 +109,8 @@ def format_by_head(path: Path, head: bytes) -> PhotoFormat:
         return "JPEG"
     if head.startswith(_PNG):
         return "PNG"
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return "WEBP"
     is_raw_name = path.suffix.lower() in RAW_SUFFIXES
     if head[4:8] == b"ftyp" and head[8:12] != b"crx " and not is_raw_name:
         return "AVIF" if head[8:12] in {b"avif", b"avis"} else "HEIF"
@@ -106,7 +118,8 @@ def format_by_head(path: Path, head: bytes) -> PhotoFormat:
         return "RAW"
     if head.startswith(TIFF_MAGICS):
         return "TIFF"
-    raise InputError(f"{path} is no photo that can be read; {_READ}", hint="export it as JPEG, PNG or TIFF")
+    expected = f"{READ_KINDS} are read"
+    raise InputError(f"{path} is no photo that can be read; {expected}", hint="export it as JPEG, PNG or TIFF")
 
 
 @contextmanager
@@ -127,12 +140,37 @@ def open_tiff(stream: BinaryIO) -> Iterator[tifffile.TiffFile]:
     remarks = logging.getLogger("tifffile")
     was_disabled, remarks.disabled = remarks.disabled, True
     try:
-        with tifffile.TiffFile(stream) as tiff:
+        # Files of microscopes and scanners are walked through in ways of their own.
+        with tifffile.TiffFile(stream, is_lsm=False, is_scanimage=False, is_ndpi=False) as tiff:
             yield tiff
     except (tifffile.TiffFileError, struct.error, *_DAMAGES) as error:
         raise InputError(f"not built like a TIFF: {error}") from error
     finally:
         remarks.disabled = was_disabled
+
+
+def tiff_pages(tiff: tifffile.TiffFile) -> Iterator[tifffile.TiffPage]:
+    """Go through the directories of a TIFF: each page, and those below it.
+
+    Args:
+        tiff: open.
+
+    Yields:
+        Each directory once, at most 64 in all: the chain of a malicious file has no end.
+    """
+    import tifffile
+
+    seen: set[int] = set()
+    for above in tiff.pages:
+        if above.offset in seen:
+            return
+        below = above.pages if isinstance(above, tifffile.TiffPage) else None
+        for page in (above, *islice(below or (), _MAX_DIRECTORIES)):
+            if page.offset not in seen and isinstance(page, tifffile.TiffPage):
+                seen.add(page.offset)
+                yield page
+            if len(seen) >= _MAX_DIRECTORIES:
+                return
 
 
 def _is_dng(data: bytes) -> bool:

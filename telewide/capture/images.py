@@ -1,9 +1,10 @@
 """Read and write pictures and disparity maps.
 
 Every picture in memory is (H, W, 3) RGB float32 in [0, 1], sRGB-encoded, upright (EXIF orientation applied). Read are
-JPEG, PNG and TIFF with 8 or 16 bits per channel, HEIC (8 bits, with the extra ``heif``), DNG and other RAW (exposure
-and tone: see `telewide.capture.raw`); grey, palette, alpha and CMYK become RGB. An embedded colour profile other than
-sRGB is converted (8 bit) or named in a warning (16 bit).
+JPEG, WebP, AVIF, PNG and TIFF with 8 or 16 bits per channel, HEIC (8 bits, with the extra ``heif``), DNG and other RAW
+(exposure and tone: see `telewide.capture.raw`); very large ones at half their size (`telewide.capture.sizes`). Grey,
+palette, alpha and CMYK become RGB. An embedded colour profile other than sRGB is converted (8 bit) or named in a
+warning (16 bit).
 PFM: rows from bottom to top, little endian, +inf for unknown on disk, NaN in memory.
 Letters: H W image.
 """
@@ -13,6 +14,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+import zlib
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,13 +22,14 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageCms
+from PIL import Image, ImageCms, UnidentifiedImageError
 
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.rundir import replacing
+from telewide.capture.sizes import MAX_PIXELS, check_size, halved, is_read_halved, say_halved
 from telewide.errors import InputError, TelewideError, UsageError
 
 if TYPE_CHECKING:
@@ -39,8 +42,9 @@ _TAG_ORIENTATION, _TAG_ICC = 274, 34675
 _ORIENTATION_OF_TURN = {0: 1, 90: 6, 180: 3, 270: 8}  # CIPA DC-008, by degrees clockwise
 # A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
 _SRGB_TOLERANCE = 2
-# Four channels of a 178-megapixel photo, which is also where Pillow stops: a larger size is a damaged header.
-_MAX_SAMPLES = 4 * 178_956_970
+_MAX_CHANNELS = 4
+# TIFF compressions whose length is bounded by what they are decoded to: none, PackBits; deflate is checked.
+_DEFLATE, _DECODED_HERE = {8, 32946}, {1, 8, 32773, 32946}
 _log = logging.getLogger("telewide")
 
 
@@ -48,7 +52,7 @@ def read_image(path: Path) -> FloatImage:
     """Read a photo upright, as sRGB.
 
     Args:
-        path: a JPEG, PNG, TIFF, HEIC, DNG or other RAW file.
+        path: a JPEG, PNG, TIFF, WebP, HEIC, AVIF, DNG or other RAW file.
 
     Returns:
         (H, W, 3) RGB float32 in [0, 1].
@@ -60,8 +64,16 @@ def read_image(path: Path) -> FloatImage:
     """
     data = read_bytes(path)
     kind = photo_format(path, data)
-    if kind == "RAW":
-        return show_as_srgb(develop(path, data))
+    try:
+        if kind == "RAW":
+            return show_as_srgb(develop(path, data))
+        return _decoded(path, data, kind)
+    except MemoryError as error:
+        raise InputError(f"{path} takes more memory than there is", hint="export the photo smaller") from error
+
+
+def _decoded(path: Path, data: bytes, kind: PhotoFormat) -> FloatImage:
+    """Return a photo that is no RAW, upright."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on photos above 89 megapixels
@@ -70,7 +82,7 @@ def read_image(path: Path) -> FloatImage:
         raise
     except Exception as error:  # the decoders fail on damaged files in a dozen ways
         raise InputError(
-            f"{path} cannot be read as an image, it is cut off or damaged: {error}",
+            f"{path} cannot be read as an image, it is cut off or damaged: {_reason(error)}",
             hint="copy the file again from the phone",
         ) from error
     scale = np.float32(1 / 65535 if samples.dtype == np.uint16 else 1 / 255)
@@ -202,21 +214,38 @@ def focal_length_mm(path: Path) -> float | None:
         return None
 
 
+def _reason(error: Exception) -> str:
+    """Return what a decoder says, in one line; Pillow names an object in memory where it knows no reason."""
+    said = str(error).strip().partition("\n")[0]
+    return "nothing in it can be recognised" if isinstance(error, UnidentifiedImageError) or not said else said
+
+
 def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
-    """Return the stored samples as sRGB and the EXIF orientation still to be applied."""
+    """Return the samples, in the size a photo is read in, as sRGB, and the EXIF orientation still to be applied."""
     if kind == "TIFF":
         deep = _decode_deep_tiff(path, data)
         if deep is not None:
             return deep
     with open_photo(path, BytesIO(data), kind) as photo:
+        hw = (photo.height, photo.width)
+        if is_read_halved(hw) and photo.format in {"JPEG", "MPO"}:
+            photo.draft(photo.mode, (hw[1] // 2, hw[0] // 2))  # decodes half as many of each block's waves
         photo.load()  # also finds cut-off files, which OpenCV lets pass
         # Pillow turns a TIFF itself when it loads it, and then forgets its tag.
         orientation = int(photo.getexif().get(_TAG_ORIENTATION, 1) or 1)
         # Byte 24 of a PNG is the bit depth; Pillow would cut 16-bit colour down to 8.
         if photo.format == "PNG" and data[24] == 16:
             _warn_unless_srgb(path, photo.info.get("icc_profile"))
-            return _decode_deep_png(path, data), orientation
-        return np.asarray(_srgb_from_photo(path, photo)), orientation
+            return _at_read_size(path, _decode_deep_png(path, data), hw), orientation
+        return _at_read_size(path, np.asarray(_srgb_from_photo(path, photo)), hw), orientation
+
+
+def _at_read_size(path: Path, samples: Samples, hw: tuple[int, int]) -> Samples:
+    """Halve what is read halved, unless its decoder has done so."""
+    if not is_read_halved(hw):
+        return samples
+    say_halved(path, hw)
+    return halved(samples) if samples.shape[:2] == hw else samples
 
 
 def _decode_deep_png(path: Path, data: bytes) -> Samples:
@@ -238,8 +267,10 @@ def _decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
             raise InputError(f"{path} has values of type {page.dtype}; TIFF with 8 or 16 bits per channel is read")
         if page.dtype != np.uint16:
             return None
-        if math.prod(page.shape) > _MAX_SAMPLES:
-            raise ValueError(f"it claims to hold {' x '.join(map(str, page.shape))} values")
+        hw = (int(page.imagelength), int(page.imagewidth))
+        check_size(path, hw)
+        if math.prod(page.shape) > _MAX_CHANNELS * math.prod(hw):
+            raise InputError(f"{path} states {' x '.join(map(str, page.shape))} values; one photo was expected")
         samples = _page_samples(path, data, page)
         axes, is_negative = page.axes, page.photometric == tifffile.PHOTOMETRIC.MINISWHITE
         orientation = page.tags.valueof(_TAG_ORIENTATION, default=1)
@@ -249,16 +280,20 @@ def _decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
     _warn_unless_srgb(path, profile)
     if axes == "SYX":
         samples = np.moveaxis(samples, 0, -1)
+    samples = _at_read_size(path, samples, hw)
     return (65535 - samples if is_negative else samples), int(orientation)
 
 
 def _page_samples(path: Path, data: bytes, page: tifffile.TiffPage) -> Samples:
     """Decode one page: by tifffile, or by OpenCV the compressions tifffile needs another package for (LZW)."""
-    try:
-        return np.asarray(page.asarray(), dtype=np.uint16)
-    except ValueError as error:
-        if "imagecodecs" not in str(error):
-            raise
+    if page.compression in _DEFLATE:
+        _check_segments(data, page)
+    if page.compression in _DECODED_HERE:
+        try:
+            return np.asarray(page.asarray(), dtype=np.uint16)
+        except ValueError as error:
+            if "imagecodecs" not in str(error):
+                raise
     # OpenCV fails on turned pictures: it is shown a copy whose orientation says upright.
     upright = bytearray(data)
     tag = page.tags.get(_TAG_ORIENTATION)
@@ -271,6 +306,18 @@ def _page_samples(path: Path, data: bytes, page: tifffile.TiffPage) -> Samples:
             hint="save it without compression, or as PNG",
         )
     return np.asarray(stored if stored.ndim == 2 else stored[..., [2, 1, 0]], dtype=np.uint16)
+
+
+def _check_segments(data: bytes, page: tifffile.TiffPage) -> None:
+    """Refuse strips and tiles that decompress to more than they should hold: a thousand times their length."""
+    if page.is_tiled:
+        pixels = page.tilelength * page.tilewidth
+    else:
+        pixels = min(page.rowsperstrip, page.imagelength) * page.imagewidth
+    most = min(pixels, MAX_PIXELS) * _MAX_CHANNELS * 2
+    for offset, length in zip(page.dataoffsets, page.databytecounts, strict=False):
+        if len(zlib.decompressobj().decompress(data[offset : offset + length], most + 1)) > most:
+            raise ValueError("a part of it decompresses to more than it should hold")
 
 
 def _srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:

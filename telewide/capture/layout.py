@@ -24,14 +24,18 @@ from pathlib import Path
 
 from telewide.assets import find_yaml
 from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
-from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
+from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES, READ_KINDS, UNREAD_SUFFIXES
 from telewide.errors import InputError, UsageError
 
 # Of two files for one view the one that lost less is taken.
-_SUFFIX_ORDER = (*sorted(RAW_SUFFIXES), ".tif", ".tiff", ".png", *sorted(HEIF_SUFFIXES), ".jpg", ".jpeg")
+_SUFFIX_ORDER = (
+    *(*sorted(RAW_SUFFIXES), ".tif", ".tiff", ".png"),
+    *(*sorted(HEIF_SUFFIXES), ".webp", ".jpg", ".jpeg", ".mpo"),
+)
 _TRUTH_SUFFIX = ".pfm"
 VIEWS = ("tele", "wide")
 TRUTH = "truth"
+_UNREAD = "unread"
 _MAX_LISTED = 5
 _ROLE_SUFFIX = re.compile(
     r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))", re.IGNORECASE
@@ -124,10 +128,10 @@ def _candidates(folder: Path) -> _Candidates:
         role = entry.name.casefold()
         if entry.is_dir() and role in {*VIEWS, TRUTH}:
             for file in _files(entry):
-                found[_normal(file.stem), "split"][role].append(file)
+                found[_normal(file.stem), "split"][_role_or_unread(file, role)].append(file)
         elif entry.is_dir():
             _add_capture_folder(found, entry)
-        elif _is_photo_or_truth(entry):
+        elif _is_picture(entry):
             _add_file(found, entry, own_name)
     return _joined_by_case(found)
 
@@ -170,17 +174,29 @@ def _add_capture_folder(found: _Candidates, folder: Path) -> None:
     for file in files:
         role = file.stem.casefold()
         if role in {*VIEWS, TRUTH}:
-            found[key][role].append(file)
+            found[key][_role_or_unread(file, role)].append(file)
     if key not in found and any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
         found[key]["unnamed"].extend(files)
+    elif key not in found:
+        unread = [file for file in files if _is_unread(file)]
+        if unread:
+            found[key][_UNREAD] = unread
 
 
 def _add_file(found: _Candidates, file: Path, own_name: str) -> None:
     stem = _normal(file.stem)
     if stem.casefold() in {*VIEWS, TRUTH}:
-        found[own_name, "folder"][stem.casefold()].append(file)
+        found[own_name, "folder"][_role_or_unread(file, stem.casefold())].append(file)
     elif match := _ROLE_SUFFIX.fullmatch(stem):
-        found[match["name"], "suffix"][_role(match)].append(file)
+        found[match["name"], "suffix"][_role_or_unread(file, _role(match))].append(file)
+
+
+def _role_or_unread(file: Path, role: str) -> str:
+    return _UNREAD if _is_unread(file) else role
+
+
+def _is_unread(file: Path) -> bool:
+    return file.suffix.lower() in UNREAD_SUFFIXES
 
 
 def _role(match: re.Match[str]) -> str:
@@ -213,6 +229,8 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
         return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
     for view, other in (VIEWS, VIEWS[::-1]):
         if not _photos(roles.get(view, [])):
+            if roles.get(_UNREAD):
+                return f"{_listed(roles[_UNREAD])} cannot be read; {READ_KINDS} are read"
             present = roles.get(other) or roles.get("truth") or []
             return f"the {view} view is missing; found {_listed(present)}"
     tele, wide = _best_pair(roles)
@@ -301,11 +319,12 @@ def _visible(folder: Path) -> list[Path]:
 
 
 def _files(folder: Path) -> list[Path]:
-    return [entry for entry in _visible(folder) if _is_photo_or_truth(entry)]
+    return [entry for entry in _visible(folder) if _is_picture(entry)]
 
 
-def _is_photo_or_truth(path: Path) -> bool:
-    return path.suffix.lower() in PHOTO_SUFFIXES | {_TRUTH_SUFFIX} and path.is_file()
+def _is_picture(path: Path) -> bool:
+    """Whether it is a photo, a film or a truth, of any kind that is known by name."""
+    return path.suffix.lower() in PHOTO_SUFFIXES | UNREAD_SUFFIXES | {_TRUTH_SUFFIX} and path.is_file()
 
 
 def _normal(name: str) -> str:

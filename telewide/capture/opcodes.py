@@ -35,7 +35,8 @@ _NAMES = {
     13: "ScalePerColumn",
     14: "WarpRectilinear2",
 }
-_MAX_OPCODES = 1000
+# Far above what cameras write: a gain map of 17 x 13 for each of four colours, one or two warps.
+_MAX_OPCODES, _MAX_WARPS, _MAX_GRID, _MAX_PLANES = 64, 3, 1024, 4
 _STRIP_ROWS = 256
 _HEADER = struct.Struct(">IIII")
 _GAIN_HEAD = struct.Struct(">10I4dI")
@@ -115,7 +116,7 @@ def parse_opcodes(data: bytes) -> tuple[Opcode, ...]:
         The opcodes in the order in which they are to be carried out.
 
     Raises:
-        ValueError: the list is cut off or contradicts itself.
+        ValueError: the list is cut off, contradicts itself, or asks for more than any camera does.
     """
     try:
         (count,) = struct.unpack_from(">I", data, 0)
@@ -131,6 +132,8 @@ def parse_opcodes(data: bytes) -> tuple[Opcode, ...]:
             offset += size
     except struct.error as error:
         raise ValueError(f"the list ends too early: {error}") from error
+    if sum(isinstance(opcode, WarpRectilinear) for opcode in opcodes) > _MAX_WARPS:
+        raise ValueError(f"a list with more than {_MAX_WARPS} distortions")
     return tuple(opcodes)
 
 
@@ -227,6 +230,8 @@ def _parse_gain_map(body: bytes) -> GainMap:
     count = math.prod((*points, n_planes))
     if count < 1 or _GAIN_HEAD.size + 4 * count > len(body):
         raise ValueError(f"a GainMap of {points[0]} x {points[1]} x {n_planes} gains in {len(body)} bytes")
+    if max(points) > _MAX_GRID or n_planes > _MAX_PLANES:
+        raise ValueError(f"a GainMap of {points[0]} x {points[1]} x {n_planes} gains; {_MAX_GRID} a side are read")
     if min(pitch) < 1 or any(n > 1 and not step > 0 for n, step in zip(points, spacing, strict=True)):
         raise ValueError(f"a GainMap with pitch {pitch} and spacing {spacing}")
     gains = np.frombuffer(body, dtype=">f4", count=count, offset=_GAIN_HEAD.size).astype(np.float32)

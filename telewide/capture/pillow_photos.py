@@ -13,6 +13,7 @@ from typing import BinaryIO
 from PIL import Image, features
 
 from telewide.capture.formats import PhotoFormat
+from telewide.capture.sizes import check_size
 from telewide.errors import InputError, MissingPartError, extra_hint
 
 _SDR_SRGB_PRIMARIES = {0, 1, 2}
@@ -33,7 +34,7 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
 
     Raises:
         MissingPartError: HEIC, and the extra is not installed.
-        InputError: AVIF, and this Pillow cannot read it.
+        InputError: its size cannot be believed; AVIF, and this Pillow cannot read it.
         OSError: damaged.
     """
     if kind == "HEIF":
@@ -45,12 +46,23 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
         import pillow_heif
 
         pillow_heif.register_heif_opener()
-        photo = Image.open(stream, formats=("HEIF",))
+        photo = _opened(path, stream, "HEIF")
         _warn_of_colours(path, photo)
         return photo
     if kind == "AVIF" and not features.check("avif"):
         raise InputError(f"{path} is an AVIF photo, which this Pillow cannot read", hint="export it as JPEG or PNG")
-    return Image.open(stream, formats=(kind,))
+    return _opened(path, stream, kind)
+
+
+def _opened(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
+    """Open a photo whose size can be believed; Pillow's own limit lies below what phones make."""
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+    try:
+        photo = Image.open(stream, formats=(kind,))
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+    check_size(path, (photo.height, photo.width))
+    return photo
 
 
 def _warn_of_colours(path: Path, photo: Image.Image) -> None:

@@ -10,17 +10,18 @@ Letters: H W photo.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.capture.formats import TAG_DNG_VERSION, open_tiff, read_bytes
+from telewide.capture.formats import TAG_DNG_VERSION, open_tiff, read_bytes, tiff_pages
 from telewide.capture.opcodes import (
     FixVignetteRadial,
     GainMap,
@@ -32,6 +33,7 @@ from telewide.capture.opcodes import (
     parse_opcodes,
     warp_rectilinear,
 )
+from telewide.capture.sizes import check_size, is_read_halved, read_hw, say_halved
 from telewide.errors import InputError
 from telewide.srgb import srgb_from_linear
 
@@ -102,8 +104,8 @@ def show_as_srgb(raw: RawPhoto) -> FloatImage:
     Returns:
         (H, W, 3) sRGB float32 in [0, 1].
     """
-    exposed = raw.linear * np.float32(2.0**raw.baseline_exposure_ev)
-    return srgb_from_linear(np.minimum(exposed, 1.0).astype(np.float32))
+    exposed: FloatImage = raw.linear * np.float32(2.0**raw.baseline_exposure_ev)
+    return srgb_from_linear(np.minimum(exposed, np.float32(1), out=exposed))
 
 
 def develop(path: Path, data: bytes, *, is_half_size: bool = False) -> RawPhoto:
@@ -119,6 +121,11 @@ def develop(path: Path, data: bytes, *, is_half_size: bool = False) -> RawPhoto:
     facts = _read_dng(path, data)
     try:
         with rawpy.imread(BytesIO(data)) as raw:
+            mosaic_hw = (int(raw.sizes.raw_height), int(raw.sizes.raw_width))
+            check_size(path, mosaic_hw)
+            if is_read_halved(mosaic_hw) and not is_half_size:
+                is_half_size = True
+                say_halved(path, mosaic_hw)
             flip = raw.sizes.flip  # as stored: developing overwrites it
             white = _scaled_mosaic(path, raw, facts.opcodes[2])
             linear = _demosaiced(raw, facts, white=white, is_half_size=is_half_size)
@@ -229,12 +236,14 @@ def _read_dng(path: Path, data: bytes) -> _DngFacts:
             lists = {number: page.tags.valueof(tag) for number, tag in _TAG_OPCODES.items()}
             exposure_ev = _ratio(tiff.pages.first.tags.valueof(_TAG_BASELINE_EXPOSURE, default=0))
             crop = _crop_of(page)
+    if not math.isfinite(exposure_ev):
+        exposure_ev = 0.0
     opcodes = {number: _opcodes(path, number, lists.get(number)) for number in _TAG_OPCODES}
     return _DngFacts(opcodes, crop, float(np.clip(exposure_ev, -_MAX_EXPOSURE_EV, _MAX_EXPOSURE_EV)))
 
 
 def stored_hw(tiff: tifffile.TiffFile) -> tuple[int, int] | None:
-    """Return height and width of a DNG's developed photo as it lies on the sensor, or None for another RAW.
+    """Return height and width in which a DNG is developed, as it lies on the sensor, or None for another RAW.
 
     Args:
         tiff: open.
@@ -242,8 +251,10 @@ def stored_hw(tiff: tifffile.TiffFile) -> tuple[int, int] | None:
     page = raw_page(tiff)
     if page is None:
         return None
-    crop = _crop_of(page)
-    return (crop[2], crop[3]) if crop else (int(page.shape[0]), int(page.shape[1]))
+    crop, mosaic_hw = _crop_of(page), (int(page.shape[0]), int(page.shape[1]))
+    if not is_read_halved(mosaic_hw):
+        return (crop[2], crop[3]) if crop else mosaic_hw
+    return (crop[2] // 2, crop[3] // 2) if crop else read_hw(mosaic_hw)
 
 
 def raw_page(tiff: tifffile.TiffFile) -> tifffile.TiffPage | None:
@@ -252,14 +263,10 @@ def raw_page(tiff: tifffile.TiffFile) -> tifffile.TiffPage | None:
     Args:
         tiff: open; previews come first in many DNGs, the mosaic below them.
     """
-    import tifffile
-
-    for first in tiff.pages:
-        pages = [first, *(first.pages or ())] if isinstance(first, tifffile.TiffPage) else []
-        for page in pages:
-            is_full = page.tags.valueof(_TAG_SUBFILE, default=0) == 0
-            if is_full and page.tags.valueof(_TAG_PHOTOMETRIC) in {_CFA, _LINEAR_RAW}:
-                return cast(tifffile.TiffPage, page)
+    for page in tiff_pages(tiff):
+        is_full = page.tags.valueof(_TAG_SUBFILE, default=0) == 0
+        if is_full and page.tags.valueof(_TAG_PHOTOMETRIC) in (_CFA, _LINEAR_RAW):
+            return page
     return None
 
 
@@ -267,10 +274,9 @@ def _opcodes(path: Path, number: int, content: object) -> tuple[Opcode, ...]:
     if not content:
         return ()
     try:
-        return parse_opcodes(
-            np.asarray(content, dtype=np.uint8).tobytes() if not isinstance(content, bytes) else content
-        )
-    except (ValueError, TypeError) as error:
+        stored = content if isinstance(content, bytes) else np.asarray(content, dtype=np.uint8).tobytes()
+        return parse_opcodes(stored)
+    except (ValueError, TypeError, OverflowError) as error:
         _log.warning("%s: its OpcodeList%d cannot be read (%s) and is left out", path, number, error)
         return ()
 

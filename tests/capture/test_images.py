@@ -307,7 +307,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
         ("a.jpg", b"\xff\xd8\xff", "cut off or damaged"),
         ("a.dng", b"II*\0", "cannot be developed as a RAW photo"),
         ("a.NEF", b"hello", "cannot be developed as a RAW photo"),
-        ("a.webp", b"RIFF\0\0\0\0WEBP", "no photo that can be read"),
+        ("a.webp", b"RIFF\0\0\0\0WEBP", "nothing in it can be recognised"),
     ],
 )
 def test_a_file_that_is_no_photo(tmp_path: Path, name: str, content: bytes, message: str) -> None:

@@ -1,0 +1,248 @@
+"""Photos that strangers hand over: sizes beyond belief, directories without end, corrections no camera asks for.
+
+Each is refused, or read without what is wrong with it, before it costs time or memory.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import struct
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from capture.dng import gain_map, opcode_list, warp, write_dng
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from telewide.calibration.shots import find_board_shots
+from telewide.capture import sizes
+from telewide.capture.exif import read_photo_facts
+from telewide.capture.images import read_image
+from telewide.capture.importer import plan_import
+from telewide.capture.layout import find_captures
+from telewide.capture.lens_choice import LensChoice
+from telewide.capture.opcodes import parse_opcodes
+from telewide.errors import InputError
+
+FLAT = np.full((48, 64), 0.25, np.float32)
+PLAIN_WARP = warp((1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@contextmanager
+def bounded(*, seconds: float = 10, megabytes: float = 600) -> Iterator[None]:
+    """The body takes no longer, and the peak of this process grows by no more."""
+    begun_s, before_kb = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    yield
+    assert time.monotonic() - begun_s < seconds
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < megabytes * 1024
+
+
+def looped_tiff(*, n_directories: int = 1) -> bytes:
+    """A TIFF whose directories follow each other round in a circle."""
+    data = struct.pack("<2sHI", b"II", 42, 8)
+    for number in range(n_directories):
+        following = 8 + 18 * ((number + 1) % n_directories)
+        data += struct.pack("<HHHIHHI", 1, 254, 4, 1, 1, 0, following)
+    return data
+
+
+@pytest.mark.parametrize("name", ["a.dng", "a.nef", "a.tif"])
+@pytest.mark.parametrize("n_directories", [1, 3, 200])
+def test_directories_without_end_are_read_once(tmp_path: Path, name: str, n_directories: int) -> None:
+    path = tmp_path / name
+    path.write_bytes(looped_tiff(n_directories=n_directories))
+    with bounded():
+        assert read_photo_facts(path).make is None
+        with pytest.raises(InputError, match=name):
+            read_image(path)
+
+
+def test_a_roll_with_a_looped_photo_is_imported_without_it(tmp_path: Path) -> None:
+    (tmp_path / "a.dng").write_bytes(looped_tiff())
+    os.mkfifo(tmp_path / "b.jpg")
+    with bounded():
+        plan = plan_import(tmp_path, tmp_path / "captures", choice=LensChoice())
+    reasons = {one.photo.path.name: one.reason for one in plan.unpaired}
+    assert set(reasons) == {"a.dng", "b.jpg"}
+    assert "is a pipe" in reasons["b.jpg"]
+
+
+def png_of_size(width: int, height: int) -> bytes:
+    """The head of a PNG, and next to nothing after it."""
+    chunks = [b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b"IDAT" + zlib.compress(bytes(100))]
+    packed = [struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+def test_a_size_beyond_belief_is_called_that(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png_of_size(60_000, 60_000))
+    with pytest.raises(InputError, match="60000 x 60000 px, too large to be believed"):
+        read_image(tmp_path / "a.png")
+    with pytest.raises(InputError, match="too large to be believed"):
+        read_photo_facts(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.dng"])
+def test_a_small_tiff_of_a_size_beyond_belief_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    if name == "a.tif":
+        tifffile.imwrite(path, np.zeros((8, 8), np.uint16), compression="zlib")
+    else:
+        write_dng(path, FLAT)
+    overwrite_tag(path, 256, 26_000)
+    overwrite_tag(path, 257, 26_000)
+    with bounded(), pytest.raises(InputError, match="26000 x 26000 px, too large to be believed"):
+        read_image(path)
+
+
+def overwrite_tag(path: Path, code: int, value: int) -> None:
+    """Change a number in the first directory of a TIFF, as LONG."""
+    with tifffile.TiffFile(path) as tiff:
+        offset, order = tiff.pages.first.tags[code].offset, tiff.byteorder
+    data = bytearray(path.read_bytes())
+    struct.pack_into(f"{order}HII", data, offset + 2, 4, 1, value)
+    path.write_bytes(data)
+
+
+def test_a_strip_that_decompresses_to_more_than_it_should_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    packed = zlib.compress(bytes(1 << 28), 1)
+    tifffile.imwrite(path, np.zeros((64, 64), np.uint16), compression="zlib", rowsperstrip=64)
+    with tifffile.TiffFile(path) as tiff:
+        tags = tiff.pages.first.tags
+        offsets = {name: tags[name].offset for name in ("StripOffsets", "StripByteCounts")}
+    data = bytearray(path.read_bytes())
+    for name, value in (("StripOffsets", len(data)), ("StripByteCounts", len(packed))):
+        struct.pack_into("<HII", data, offsets[name] + 2, 4, 1, value)
+    path.write_bytes(data + packed)
+    with bounded(megabytes=100), pytest.raises(InputError, match="more than it should hold"):
+        read_image(path)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".webp"])
+@pytest.mark.parametrize("wh", [(64, 48), (65, 47)])
+def test_a_very_large_photo_is_read_at_half_its_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, wh: tuple[int, int]
+) -> None:
+    """Its pixels are means of 2 x 2: a ramp of x keeps x' = (x + 0.5) / 2 - 0.5."""
+    width, height = wh
+    ramp = np.broadcast_to(20 + 3 * np.arange(width), (height, width)).astype(np.uint8)
+    options = {".jpg": {"quality": 100, "subsampling": 0}, ".webp": {"lossless": True}}.get(suffix, {})
+    Image.fromarray(np.dstack([ramp] * 3)).save(tmp_path / f"a{suffix}", **options)
+    monkeypatch.setattr(sizes, "MAX_WHOLE_PIXELS", 2000)
+    image = read_image(tmp_path / f"a{suffix}")
+    assert image.shape[:2] == ((height + 1) // 2, (width + 1) // 2)
+    assert read_photo_facts(tmp_path / f"a{suffix}").hw == image.shape[:2]
+    expected = 20 + 3 * (2 * np.arange(width // 2) + 0.5)
+    inner = slice(2, width // 2 - 2)  # a JPEG's last block is padded
+    np.testing.assert_allclose(255 * image[5, inner, 0], expected[inner], atol=1.6)
+
+
+def test_a_very_large_dng_is_developed_at_half_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_dng(tmp_path / "a.dng", FLAT)
+    whole = read_image(path)
+    monkeypatch.setattr(sizes, "MAX_WHOLE_PIXELS", 2000)
+    half = read_image(path)
+    assert half.shape == (24, 32, 3)
+    assert read_photo_facts(path).hw == (24, 32)
+    np.testing.assert_allclose(half.mean(axis=(0, 1)), whole.mean(axis=(0, 1)), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "opcodes",
+    [
+        opcode_list(gain_map(np.ones((1, 2_000_000, 1), np.float32), area=(0, 0, 48, 64))),
+        opcode_list(gain_map(np.ones((2, 2, 100), np.float32), area=(0, 0, 48, 64))),
+        opcode_list(*[PLAIN_WARP] * 4),
+        opcode_list(*[(4, b"\0" * 8)] * 65),
+    ],
+    ids=["a gain map of 2 million columns", "100 planes of gains", "4 warps", "65 opcodes"],
+)
+def test_corrections_that_no_camera_asks_for_are_left_out(
+    tmp_path: Path, opcodes: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        parse_opcodes(opcodes)
+    path = write_dng(tmp_path / "a.dng", FLAT, opcodes={3: opcodes})
+    with bounded():
+        assert read_image(path).shape == (48, 64, 3)
+    assert "OpcodeList3 cannot be read" in caplog.text
+
+
+def test_an_opcode_list_of_another_type_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_dng(tmp_path / "a.dng", FLAT, opcodes={2: bytes(8), 3: bytes(8)})
+    with tifffile.TiffFile(path) as tiff:
+        offset = tiff.pages.first.tags[51022].offset
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<HI", data, offset + 2, 4, 2)  # two LONGs
+    value_offset = struct.unpack_from("<I", data, offset + 8)[0]
+    struct.pack_into("<II", data, value_offset, 1 << 20, 1 << 30)
+    path.write_bytes(data)
+    assert read_image(path).shape == (48, 64, 3)
+    assert "OpcodeList3 cannot be read" in caplog.text
+
+
+@pytest.mark.parametrize("date", ["9999:12:31 23:59:59", "0001:01:01 00:00:00", "2024:13:45 10:00:00"])
+def test_a_year_no_photo_was_taken_in_is_not_stated(tmp_path: Path, date: str) -> None:
+    exif = Image.Exif()
+    exif.get_ifd(34665).update({36867: date, 37521: "999", 36881: "+14:00", 37386: IFDRational(6, 1)})
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.jpg", exif=exif)
+    facts = read_photo_facts(tmp_path / "a.jpg")
+    assert facts.taken is None
+    assert facts.focal_length_mm == 6
+
+
+def test_webp_and_mpo_are_captures(tmp_path: Path) -> None:
+    levels = np.random.default_rng(1).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    for view, shade in (("tele", levels), ("wide", levels // 2)):
+        for folder, suffix in (("a", ".webp"), ("b", ".mpo")):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            photo = Image.fromarray(shade)
+            more = {"lossless": True} if suffix == ".webp" else {"save_all": True, "append_images": [photo]}
+            photo.save(tmp_path / folder / f"{view}{suffix}", **more)
+    found = find_captures(tmp_path)
+    assert [capture.tele_path.name for capture in found.captures] == ["tele.webp", "tele.mpo"]
+    assert found.problems == ()
+    np.testing.assert_array_equal(np.rint(255 * read_image(tmp_path / "a" / "tele.webp")), levels)
+    assert read_image(tmp_path / "b" / "tele.mpo").shape == (48, 64, 3)
+    assert [shot.name for shot in find_board_shots(tmp_path)] == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    "names", [("x/tele.gif", "x/wide.gif"), ("x_tele.jxl", "x_wide.jxl"), ("tele/x.bmp", "wide/x.bmp"), ("x/a.psd",)]
+)
+def test_photos_of_an_unread_kind_are_named(tmp_path: Path, names: tuple[str, ...]) -> None:
+    for name in (*names, "good/tele.png", "good/wide.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(name.encode())
+    found = find_captures(tmp_path)
+    assert [capture.name for capture in found.captures] == ["good"]
+    assert [problem.name for problem in found.problems] == ["x"]
+    assert all(Path(name).name in found.problems[0].message for name in names)
+    assert "are read" in found.problems[0].message
+
+
+def test_a_film_beside_its_photo_is_passed_over(tmp_path: Path) -> None:
+    for name in ("tele/a.jpg", "tele/a.mov", "wide/a.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(name.encode())
+    found = find_captures(tmp_path)
+    assert [capture.name for capture in found.captures] == ["a"]
+    assert found.problems == ()
+
+
+def test_board_photos_of_an_unread_kind_are_named(tmp_path: Path) -> None:
+    for name in ("x/tele.gif", "x/wide.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(name.encode())
+    (shot,) = find_board_shots(tmp_path)
+    assert shot.tele_path is None
+    assert shot.wide_path is not None
+    assert "tele.gif cannot be read" in shot.notes[0]
