@@ -13,8 +13,6 @@ from training.small import rendered, tensor_of
 from telewide.matching.sampling import warp_to_ref
 from telewide.matching.volume import plane_disparities_px
 from telewide.training.losses import (
-    SSIM_C1,
-    SSIM_C2,
     Term,
     distribution_loss,
     feature_metric_loss,
@@ -134,6 +132,7 @@ def test_masked_pixels_do_not_count() -> None:
     mask = torch.zeros(1, *ref.shape[-2:], dtype=torch.bool)
     mask[..., 8:18] = True  # these look up src at 5 to 15
     assert mean(photometric_loss(ref, spoilt, truth, mask_BHW=mask, alpha=3.0)) < 1e-3
+    assert float(photometric_loss(ref, spoilt, truth, mask_BHW=mask, alpha=3.0).count) == 14 * 10  # border rows aside
     nothing = photometric_loss(ref, spoilt, truth, mask_BHW=torch.zeros_like(mask), alpha=3.0)
     assert float(nothing.total) == float(nothing.count) == 0
 
@@ -155,8 +154,8 @@ def test_ssim_against_its_definition() -> None:
     mu_x, mu_y = uniform_filter(x, 3), uniform_filter(y, 3)
     var_x, var_y = uniform_filter(x**2, 3) - mu_x**2, uniform_filter(y**2, 3) - mu_y**2
     covariance = uniform_filter(x * y, 3) - mu_x * mu_y
-    expected = ((2 * mu_x * mu_y + SSIM_C1) * (2 * covariance + SSIM_C2)) / (
-        (mu_x**2 + mu_y**2 + SSIM_C1) * (var_x + var_y + SSIM_C2)
+    expected = ((2 * mu_x * mu_y + 0.0001) * (2 * covariance + 0.0009)) / (
+        (mu_x**2 + mu_y**2 + 0.0001) * (var_x + var_y + 0.0009)
     )
     np.testing.assert_allclose(ssim(a, b)[0, 0].numpy(), expected[1:-1, 1:-1], rtol=1e-9)
 
@@ -165,9 +164,39 @@ def test_ssim_of_equal_and_of_opposite_pictures() -> None:
     a = rand(1, 3, 8, 8)
     torch.testing.assert_close(ssim(a, a), torch.ones(1, 3, 6, 6, dtype=torch.float64))
     assert ssim(a, 1 - a).max() < 0.7
-    flat_a, flat_b = torch.full((1, 1, 3, 3), 0.2), torch.full((1, 1, 3, 3), 0.6)
-    expected = (2 * 0.2 * 0.6 + SSIM_C1) / (0.2**2 + 0.6**2 + SSIM_C1)
-    assert float(ssim(flat_a, flat_b)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_ssim_constants_by_hand() -> None:
+    """Flat windows show the first, C1 = 0.01^2; windows of one lit pixel each the second, C2 = 0.03^2, too.
+
+    Flat, 0.2 and 0.6: (2 * 0.12 + 0.0001) / (0.04 + 0.36 + 0.0001) = 0.2401 / 0.4001. One pixel of 0.9 in nine, at two
+    places: means 0.1, variances 0.08, covariance -0.01, so 0.0201 * -0.0191 / (0.0201 * 0.1609) = -0.0191 / 0.1609.
+    """
+    flat_a, flat_b = (torch.full((1, 1, 3, 3), value, dtype=torch.float64) for value in (0.2, 0.6))
+    assert float(ssim(flat_a, flat_b)) == pytest.approx(0.600100, abs=1e-6)
+    lit_a, lit_b = (torch.zeros(1, 1, 3, 3, dtype=torch.float64) for _ in range(2))
+    lit_a[..., 0, 0], lit_b[..., 2, 1] = 0.9, 0.9
+    assert float(ssim(lit_a, lit_b)) == pytest.approx(-0.118707, abs=1e-6)
+
+
+@pytest.mark.parametrize(("alpha", "expected"), [(0.0, 0.4), (1.0, 0.799900), (3.0, 1.599700)])
+def test_photometric_loss_of_flat_pictures_by_hand(alpha: float, expected: float) -> None:
+    """|0.2 - 0.6| + alpha (1 - 0.2401 / 0.4001), over the 2x3 pixels that have a whole window."""
+    ref, src = (torch.full((1, 3, 4, 5), value, dtype=torch.float64) for value in (0.2, 0.6))
+    term = photometric_loss(ref, src, torch.zeros(1, 4, 5), mask_BHW=everywhere(ref), alpha=alpha)
+    assert float(term.count) == 6
+    assert mean(term) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize(("alpha", "expected"), [(0.0, 0.2), (3.0, 0.319988)])
+def test_feature_metric_loss_of_flat_features_by_hand(alpha: float, expected: float) -> None:
+    """(3, 4) and (40, 30) at unit length: |0.6 - 0.8| + alpha (1 - 0.9601 / 1.0001) in either channel."""
+    target, warped = (
+        torch.tensor(pair, dtype=torch.float64)[None, :, None, None].expand(1, 2, 5, 4) for pair in ((3, 4), (40, 30))
+    )
+    term = feature_metric_loss(target, warped, mask_BHW=everywhere(target), alpha=alpha)
+    assert float(term.count) == 6
+    assert mean(term) == pytest.approx(expected, abs=1e-5)
 
 
 def test_difference_is_absolute_plus_structural_part() -> None:
