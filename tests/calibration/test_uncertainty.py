@@ -26,7 +26,7 @@ FREE[RIG] = True
 def bent_shots(
     world: World, rng: np.random.Generator, *, bend_m: float, count: int = 24
 ) -> tuple[list[DetectedShot], FloatArray]:
-    """Joint shots of a board of paper that bends anew for every shot, by so much at its edges, and its (S, 4, 4) poses."""
+    """Joint shots of a paper board that bends anew in each, by so much at its edges; its true poses, (S, 4, 4)."""
     shots, poses = [], []
     across = world.board_m[:, :2] - world.board_m[:, :2].mean(axis=0)
     across /= np.abs(across).max(axis=0)

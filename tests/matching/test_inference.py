@@ -22,7 +22,7 @@ from telewide.matching.inference import (
     low_precision,
     match_with_network,
 )
-from telewide.matching.networks import StereoNetwork, build_network
+from telewide.matching.networks import StereoNetwork, build_network, standardise
 from telewide.matching.volume import correlate_groups, expect_disparity
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene
@@ -193,13 +193,19 @@ def test_matching_leaves_no_trace_in_the_network() -> None:
     assert all(parameter.requires_grad for parameter in network.parameters())
 
 
-def test_padding_is_not_seen_in_the_result() -> None:
-    """An image and the same one already continued to the grid: the same disparities where both are."""
+@pytest.mark.parametrize("name", ["lite", "psmnet-s"])
+def test_an_image_off_the_grid_is_continued_by_its_border(name: str) -> None:
+    """Standardised as it is, then continued to multiples of 64 px by repeating the border, which is cut off again."""
     ref, src = noise(GRID_PX - 3, 2 * GRID_PX - 5), noise(GRID_PX - 3, 2 * GRID_PX - 5, seed=1)
-    with full_precision():
-        matched = match_with_network(ref, src, network=build_network("lite"), window=(0, 32))
+    network = build_network(name).eval()
+    views = [torch.from_numpy(view.transpose(2, 0, 1).copy())[None] for view in (ref, src)]
+    by_hand = [standardise(view).numpy() for view in views]
+    by_hand = [np.pad(view, ((0, 0), (0, 0), (0, 3), (0, 5)), mode="edge") for view in by_hand]
+    with full_precision(), torch.no_grad():
+        matched = match_with_network(ref, src, network=network, window=(0, 32))
+        output = network(*map(torch.from_numpy, by_hand), (0, 32))
     assert matched.disparity_px.shape == ref.shape[:2]
-    assert np.isfinite(matched.disparity_px).all()
+    np.testing.assert_allclose(matched.disparity_px, output.disparity_px[0, :-3, :-5].numpy(), atol=1e-3)
 
 
 def test_brightness_and_tint_of_a_view_do_not_matter() -> None:
