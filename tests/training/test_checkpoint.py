@@ -115,6 +115,9 @@ def test_a_state_of_another_network_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["lite", "psmnet-s"])
 def test_weights_come_back_with_their_card(tmp_path: Path, name: str) -> None:
     network = build_network(name, seed=4)
+    with torch.no_grad():  # running statistics as after a training
+        for index, buffer in enumerate(network.buffers()):
+            buffer.add_(index + 1)
     card = WeightsCard(name, (-16, 48), {"a": {"b": 1.5}}, {"step": 3})
     save_weights(network, tmp_path / "w.safetensors", card=card)
     back, read = load_weights(tmp_path / "w.safetensors", device=CPU)

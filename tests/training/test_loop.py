@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import signal
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -30,7 +32,7 @@ from telewide.training.objective import Batch
 from telewide.training.options import TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import SampleSource
-from telewide.training.stages import plan_stages
+from telewide.training.stages import Stage, plan_stages
 
 
 def fresh() -> TrainingState:
@@ -323,6 +325,50 @@ def test_each_stage_compares_by_the_extractor_of_the_one_before(tmp_path: Path, 
     assert all(is_same(teacher, network.features) for teacher, network in zip(teachers, before, strict=True))
 
 
+@dataclass
+class Watching(Heard):
+    """Remembers what each stage begins with, and how many steps the optimiser knows of after each step."""
+
+    state: TrainingState | None = None
+    begun: dict[str, StereoNetwork] = field(default_factory=dict)
+    moments: dict[str, int] = field(default_factory=dict)
+    ages: dict[tuple[str, int], float] = field(default_factory=dict)
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        assert self.state is not None
+        self.begun[stage.name] = copy.deepcopy(self.state.network)
+        self.moments[stage.name] = len(self.state.optimiser.state)
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        assert self.state is not None
+        self.ages[stage.name, step] = max(float(of["step"]) for of in self.state.optimiser.state.values())
+
+
+@pytest.mark.parametrize("name", ["lite", "psmnet-s"])
+def test_a_stage_starts_from_the_last_result_with_a_fresh_optimiser(
+    tmp_path: Path, source: SampleSource, name: str
+) -> None:
+    """The result is the average as it was judged best, here not the last one; Adam has seen nothing yet."""
+    options = short(
+        photometric={**PHOTOMETRIC, "steps": 3}, feature={**FEATURE, "steps": 2}, stages=1, average_decay=0.5
+    )
+    watching = Watching(state=new_state(name, seed=1, device=CPU))
+    judge = ScriptedJudge((0.5, 0.2, 0.4, 0.1, 0.1))
+    assert watching.state is not None
+    train(training_in(tmp_path, source, options=options, judge=judge, network=name), watching.state, reporter=watching)
+    result, card = load_weights(tmp_path / "photometric.safetensors", device=CPU)
+    assert card.training["step"] == 2
+    assert is_same(watching.begun["feature-1"], result)
+    assert watching.moments == {"photometric": 0, "feature-1": 0}
+    assert watching.ages == {
+        ("photometric", 1): 1,
+        ("photometric", 2): 2,
+        ("photometric", 3): 3,
+        ("feature-1", 1): 1,
+        ("feature-1", 2): 2,
+    }
+
+
 # Steps
 
 
@@ -355,16 +401,43 @@ def test_a_network_added_by_name_trains(tmp_path: Path, source: SampleSource, mo
     """One line in NETWORKS is all a new network needs."""
     monkeypatch.setitem(NETWORKS, "twin", NETWORKS["lite"])
     state = new_state("twin", seed=1, device=CPU)
-    before = [parameter.detach().clone() for parameter in state.network.parameters()]
-    train(training_in(tmp_path, source, options=short(photometric=PHOTOMETRIC, stages=0)), state, reporter=Heard())
-    assert any(not torch.equal(a, b) for a, b in zip(before, state.network.parameters(), strict=True))
+    before = copy.deepcopy(state.network)
+    options = short(photometric={**PHOTOMETRIC, "steps": 2}, stages=0)
+    train(training_in(tmp_path, source, options=options, network="twin"), state, reporter=Heard())
+    moved = {name for name, p in state.network.named_parameters() if not torch.equal(p, before.get_parameter(name))}
+    assert {name.partition(".")[0] for name in moved} == {"features", "matching"}
+    result, card = load_weights(tmp_path / WEIGHTS_NAME, device=CPU)
+    assert card.network == "twin"
+    assert is_same(result, state.average)
 
 
-def test_psmnet_trains_a_step(tmp_path: Path, source: SampleSource) -> None:
+def test_running_statistics_of_psmnet_are_part_of_the_result(tmp_path: Path, source: SampleSource) -> None:
+    """The average takes the network's own, undecayed, and the weights on disk hold them."""
     state = new_state("psmnet-s", seed=1, device=CPU)
-    stage = stage_of(steps=2, captured=1, captured_loss="photometric", swaps_views=True)
-    losses = take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training_in(tmp_path, source))
-    assert losses["photometric"] > 0
+    fresh_buffers = {name: buffer.clone() for name, buffer in state.network.named_buffers()}
+    options = short(photometric={**PHOTOMETRIC, "steps": 2, "learning_rate": 1e-2}, stages=0, average_decay=0.9)
+    judge = ScriptedJudge((0.5, 0.4))
+    train(training_in(tmp_path, source, options=options, judge=judge, network="psmnet-s"), state, reporter=Heard())
+    result, _ = load_weights(tmp_path / WEIGHTS_NAME, device=CPU)
+    assert len(fresh_buffers) > 100
+    for name, buffer in state.network.named_buffers():
+        assert not torch.equal(buffer, fresh_buffers[name]), name
+        assert torch.equal(state.average.get_buffer(name), buffer), name
+        assert torch.equal(result.get_buffer(name), buffer), name
+    weights = [name for name, p in state.network.named_parameters() if not torch.equal(p, result.get_parameter(name))]
+    assert weights, "the weights themselves are an average"
+
+
+def test_psmnet_learns_by_every_step(tmp_path: Path, source: SampleSource) -> None:
+    """On one batch over and over the photometric loss falls."""
+    state = new_state("psmnet-s", seed=1, device=CPU)
+    stage = stage_of(steps=1000, captured=1, captured_loss="photometric", smoothness=0.0, learning_rate=5e-3)
+    batch = StepBatches(source, stage, seed=0)[0]
+    losses = []
+    for step in range(12):
+        state.step = step + WARM_UP_STEPS
+        losses.append(take_step(state, batch, stage, training=training_in(tmp_path, source))["photometric"])
+    assert losses[-1] < 0.97 * losses[0]
 
 
 @pytest.mark.parametrize("name", ["lite", "psmnet-s"])

@@ -1,0 +1,108 @@
+"""The order of training, and what every shipped recipe resolves to: tables written out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from telewide.recipe import load_recipe
+from telewide.training.options import StageOptions, TrainOptions
+from telewide.training.stages import Stage, plan_stages
+
+# stage: steps, learning rate, rehearsed and real crops, loss of the real ones and its weight, alpha, lambda, masks,
+# exchange, weight of labels beside
+Line = tuple[int, float, int, int, str, float, float, float, bool, bool, float]
+LABELLED = (2, 1, "labels", 1.0, 3.0, 0.1, True, False, 0.0)
+BESIDE_LABELS = (2, 1, "feature", 0.5, 1.0, 0.02, True, False, 1.0)
+AS_PUBLISHED = (0, 2, "feature", 1.0, 3.0, 0.5, False, True, 0.0)
+RECIPES: dict[str, tuple[str, float, dict[str, Line]]] = {
+    "default": (
+        "lite",
+        0.995,
+        {
+            "rehearsal": (4000, 1e-3, *LABELLED),
+            "feature-1": (600, 1e-4, *BESIDE_LABELS),
+            "feature-2": (600, 1e-4, *BESIDE_LABELS),
+        },
+    ),
+    "quick": (
+        "lite",
+        0.995,
+        {"rehearsal": (600, 1e-3, *LABELLED), "feature-1": (100, 1e-4, *BESIDE_LABELS)},
+    ),
+    "paper": (
+        "psmnet-s",
+        0.0,
+        {
+            "photometric": (1800, 1e-3, 0, 2, "photometric", 1.0, 3.0, 0.1, False, True, 0.0),
+            "feature-1": (400, 1e-4, *AS_PUBLISHED),
+            "feature-2": (400, 1e-4, *AS_PUBLISHED),
+            "feature-3": (400, 1e-4, *AS_PUBLISHED),
+        },
+    ),
+}
+
+
+def line_of(options: StageOptions) -> Line:
+    return (
+        options.steps,
+        options.learning_rate,
+        options.rehearsed,
+        options.captured,
+        options.captured_loss,
+        options.captured_weight,
+        options.alpha,
+        options.smoothness,
+        options.occlusion_masks,
+        options.swaps_views,
+        options.labels_weight,
+    )
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_shipped_recipe_resolves_to_its_stages(name: str) -> None:
+    network, average_decay, stages = RECIPES[name]
+    recipe = load_recipe(name)
+    assert recipe.network == network
+    assert recipe.train.average_decay == average_decay
+    plan = plan_stages(recipe.train)
+    assert {stage.name: line_of(stage.options) for stage in plan} == stages
+    assert [stage.name for stage in plan] == list(stages)
+    assert [stage.index for stage in plan] == list(range(len(plan)))
+
+
+def test_every_shipped_recipe_is_in_the_table(repo: Path) -> None:
+    assert {path.stem for path in (repo / "pipelines").glob("*.yaml")} == set(RECIPES)
+
+
+def test_feature_metric_stages_alone_need_the_extractor_of_the_stage_before() -> None:
+    for name in RECIPES:
+        for stage in plan_stages(load_recipe(name).train):
+            assert stage.needs_teacher == stage.name.startswith("feature-")
+            assert stage.needs_labels == (RECIPES[name][0] == "lite")
+
+
+@pytest.mark.parametrize(
+    ("options", "teacher", "labels"),
+    [
+        ({"captured": 1, "captured_loss": "feature"}, True, False),
+        ({"rehearsed": 1, "captured_loss": "feature"}, False, False),
+        ({"captured": 1, "captured_loss": "labels"}, False, True),
+        ({"rehearsed": 1, "captured_loss": "labels"}, False, False),
+        ({"captured": 1, "captured_loss": "photometric", "labels_weight": 0.1}, False, True),
+        ({"rehearsed": 1, "labels_weight": 0.1}, False, False),
+    ],
+)
+def test_what_a_stage_needs_follows_from_its_real_crops(
+    options: dict[str, object], teacher: bool, labels: bool
+) -> None:
+    stage = Stage("some", 0, StageOptions.model_validate({"steps": 1, **options}))
+    assert (stage.needs_teacher, stage.needs_labels) == (teacher, labels)
+
+
+def test_stages_without_steps_are_left_out_and_the_others_counted_on() -> None:
+    stage = {"steps": 5, "captured": 1}
+    plan = plan_stages(TrainOptions.model_validate({"stages": 2, "photometric": stage, "feature": stage}))
+    assert [(stage.name, stage.index) for stage in plan] == [("photometric", 0), ("feature-1", 1), ("feature-2", 2)]
+    assert plan_stages(TrainOptions.model_validate({"stages": 0, "feature": stage})) == ()
