@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.images import read_image, write_image
-from telewide.output.contact import strip
-from telewide.output.preview import colourise, display_range_px
+from telewide.depth.preview import colourise, display_range_px
+from telewide.pages.contact import strip
 
 if __name__ == "__main__":
     here = Path(__file__).resolve().parent

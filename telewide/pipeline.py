@@ -19,29 +19,29 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from telewide.align import locate_rig, shot_precision
+from telewide.bokeh.picture import BokehOptions, check_bokeh
 from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
 from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
 from telewide.command_line import command_line
-from telewide.correction.pin import KnownDistance, focused_at
 from telewide.counted import counted
+from telewide.depth.pin import KnownDistance, focused_at
+from telewide.depth.precision import DepthPrecision
 from telewide.errors import InputError, UsageError
-from telewide.matcher import Matcher, choose_matcher
 from telewide.matching.window import Window, joined_window
-from telewide.observer import Observer
 from telewide.options import parse_options
-from telewide.output.bokeh_picture import BokehOptions, check_bokeh
-from telewide.output.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
-from telewide.output.metric import DepthPrecision
-from telewide.page import report_row, write_page
-from telewide.prepare import RECORD_NAME, PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
+from telewide.pages.run_page import report_row, write_page
 from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
+from telewide.stages.align import locate_rig, shot_precision
+from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
+from telewide.stages.match import Matcher, choose_matcher
+from telewide.stages.observer import Observer
+from telewide.stages.prepare import RECORD_NAME, PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
 from telewide.training.processes import Processes, joined_processes
 
 if TYPE_CHECKING:
-    from telewide.train import TrainOutcome
+    from telewide.stages.train import TrainOutcome
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class DepthOptions:
     """What ``telewide depth`` was asked for.
 
     Attributes:
-        method: one of `telewide.matcher.METHODS`.
+        method: one of `telewide.stages.match.METHODS`.
         weights: a weights file, or None for the run's newest.
         bokeh: None for no bokeh picture.
         out: folder for the results, or None for ``depth/`` of the run.
@@ -280,7 +280,7 @@ def _prepare(call: _Call) -> PreparedSet:
 
 def _train(call: _Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
     from telewide.matching.inference import choose_device
-    from telewide.train import train_prepared
+    from telewide.stages.train import train_prepared
 
     prepared_s = time.monotonic()
     outcome = train_prepared(

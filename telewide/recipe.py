@@ -9,9 +9,9 @@ from pydantic import Field, field_validator
 
 from telewide.assets import find_asset
 from telewide.errors import InputError, UsageError
+from telewide.files import read_yaml
 from telewide.matching.window import check_window
 from telewide.options import Options, apply_settings, parse_options
-from telewide.records import read_yaml
 from telewide.training.options import TrainOptions
 
 DEFAULT_RECIPE = "default"

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.matches import Matches
-from telewide.correction.resample import resample
 from telewide.geometry.grids import dense_map
+from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
+from telewide.points.matches import Matches
 
 FloatArray = NDArray[np.float64]
 BASELINE_M = 0.012

@@ -22,7 +22,7 @@ from rigs import in_wide, phone, points_in_view
 from source import Module, at, calls, functions, identifiers, module_from_text, modules, parameters
 
 from telewide.capture.images import read_image, read_pfm, resize_bicubic, write_image, write_pfm
-from telewide.correction.unrectify import disparity_on_tele
+from telewide.depth.unrectify import disparity_on_tele
 from telewide.geometry.camera import scaled_intrinsics, scaled_points
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.rig import StereoRig
@@ -49,7 +49,7 @@ def words(name: str) -> list[str]:
 
 def test_convention_views_are_tele_and_wide() -> None:
     def check(module: Module) -> Iterator[str]:
-        if module.name == "capture.datasets":  # published data sets say left and right
+        if module.name == "benchmark.datasets":  # published data sets say left and right
             return
         sided = [(a.arg, a.lineno) for f in functions(module) for a in parameters(f) if a.arg in {"left", "right"}]
         for name, line in identifiers(module):
@@ -119,7 +119,7 @@ def test_convention_points_are_x_y() -> None:
     scaled = scaled_points(np.array([10.0, 20.0]), scale_xy=(2.0, 1.0))
     np.testing.assert_allclose(scaled, [20.5, 20.0])
     # A detector of ours and one of OpenCV's place a spot at column 90, row 30 alike.
-    from telewide.correction.matches import Matches
+    from telewide.points.matches import Matches
 
     fields = Matches(ref_px=np.array([[90.0, 30.0]]), src_px=np.array([[80.0, 29.0]]))
     np.testing.assert_allclose(fields.disparity_px, [10.0])
@@ -127,9 +127,9 @@ def test_convention_points_are_x_y() -> None:
 
 
 def test_convention_points_count_on_the_photo_as_read(tmp_path: Path) -> None:
+    from telewide.bokeh.picture import BokehOptions, check_bokeh
     from telewide.capture.pair import find_captures
     from telewide.errors import UsageError
-    from telewide.output.bokeh_picture import BokehOptions, check_bokeh
 
     stored = np.zeros((40, 60, 3), np.uint8)
     stored[:8, 52:] = 255  # top right; turned clockwise it comes to the bottom right
@@ -150,8 +150,8 @@ def test_convention_points_count_on_the_photo_as_read(tmp_path: Path) -> None:
 
 def test_convention_rotated_deg_is_counter_clockwise(tmp_path: Path, rng: np.random.Generator) -> None:
     from telewide.capture.facts import read_facts
-    from telewide.output.depth import depth_result
-    from telewide.output.export import write_depth
+    from telewide.depth.export import write_depth
+    from telewide.depth.result import depth_result
 
     photo = rng.random((48, 64, 3)).astype(np.float32)
     disparity_px = np.linspace(2, 9, 48 * 64, dtype=np.float32).reshape(48, 64)
@@ -470,8 +470,8 @@ def test_convention_files_use_their_own_code(tmp_path: Path) -> None:
     values = struct.unpack("<4f", (tmp_path / "map.pfm").read_bytes()[-16:])
     assert values == (2.0, 3.0, 1.0, np.inf)  # bottom row first
 
-    from telewide.output.depth import depth_result
-    from telewide.output.export import write_depth
+    from telewide.depth.export import write_depth
+    from telewide.depth.result import depth_result
 
     known = ~np.isnan(disparity_px)
     result = depth_result("shot", DisparityMap(disparity_px, known.astype(np.float32), known))

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from rig_worlds import phone_rig, photos_of_a_plane
 
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, check_bokeh
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.capture.facts import CaptureFacts
@@ -21,18 +22,17 @@ from telewide.capture.images import read_image, read_pfm, write_image
 from telewide.capture.pair import Capture, find_captures
 from telewide.capture.rundir import RunFolder
 from telewide.cli import main
-from telewide.correction.held_out import HeldOut
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.networks import build_network
 from telewide.metrics import three_pixel_error
-from telewide.output.bokeh_picture import BokehOptions, bokeh_picture, check_bokeh
-from telewide.output.capture_depth import DepthOutcome, depth_of_capture
-from telewide.output.kept import KeptDepth, read_kept, write_kept
 from telewide.pipeline import DepthOptions, recipe_of_depth
-from telewide.prepare import prepare_captures
+from telewide.points.held_out import HeldOut
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
+from telewide.stages.capture_depth import DepthOutcome, depth_of_capture
+from telewide.stages.kept_depth import KeptDepth, read_kept, write_kept
+from telewide.stages.prepare import prepare_captures
 from telewide.training.checkpoint import WeightsCard, save_weights
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}

@@ -13,18 +13,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.align import locate_rig
 from telewide.benchmark.contenders import Contender
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import CaptureFacts, CaptureSet, RectifiedPair, find_captures, read_pair
 from telewide.capture.rundir import RunFolder
-from telewide.correction.held_out import match_errors_px, summarise_errors
 from telewide.errors import UsageError
 from telewide.matching.window import Window, joined_window
-from telewide.prepare import PreparedPair, prepare_captures, refuse_without_rig
+from telewide.points.held_out import match_errors_px, summarise_errors
 from telewide.recipe import Recipe
+from telewide.stages.align import locate_rig
+from telewide.stages.prepare import PreparedPair, prepare_captures, refuse_without_rig
 
 Errors = NDArray[np.float64]
 UNCORRECTED = "uncorrected"
@@ -122,7 +122,7 @@ def matches_table(report: BenchmarkReport) -> str:
 
 def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
     """Captures that none of the trainings has seen."""
-    from telewide.train import read_record
+    from telewide.stages.train import read_record
 
     records = [record for record in map(read_record, runs) if record is not None]
     if not records or len(records) < len(runs):

@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 from telewide.benchmark.contenders import source_labels
 from telewide.benchmark.memory import SGM
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
-from telewide.calibration.boards import board_points_m, load_board, resized_board
+from telewide.boards.board import board_points_m, load_board, resized_board
+from telewide.boards.shots import detect_shots, find_board_shots
 from telewide.calibration.rig_file import RigFacts, write_rig
-from telewide.calibration.shots import detect_shots, find_board_shots
-from telewide.calibration.solve import calibrate_rig
+from telewide.calibration.solver import calibrate_rig
 from telewide.capture.images import read_image, read_pfm
 from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
-from telewide.observer import Observer
 from telewide.pipeline import DepthOptions, DepthRun, depth_captures, recipe_of_depth
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.simulate.phone import BOARD_SQUARE_M, write_phone
+from telewide.stages.observer import Observer
 
 Values = NDArray[np.float64]
 

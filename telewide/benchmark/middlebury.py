@@ -2,7 +2,7 @@
 
 Third-size scenes, the right view shrunk and enlarged again; disparities 0 to 80 px; all pixels with known truth count
 but those of the first 53 columns, whose partners mostly lie outside the other view. Maps are filled, and judged as
-they come from the matcher and after :func:`telewide.output.edges.follow_edges`.
+they come from the matcher and after :func:`telewide.depth.edges.follow_edges`.
 3PE is the share of pixels off by more than 3 px and by more than 5 % of the truth; EPE the mean absolute error.
 """
 
@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from telewide.benchmark.contenders import Contender
+from telewide.benchmark.datasets import write_middlebury_captures
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
-from telewide.capture.datasets import write_middlebury_captures
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
+from telewide.depth.edges import follow_edges
 from telewide.errors import InputError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.metrics import end_point_error_px, three_pixel_error
-from telewide.output.edges import follow_edges
 
 SPLITS: dict[str, tuple[str, ...]] = {
     "training": (

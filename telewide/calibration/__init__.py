@@ -1,1 +1,1 @@
-"""From photos of a board to a rig."""
+"""Two lenses to a rig: from photos of a board, or from ordinary captures."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from telewide.calibration.bundle import solve_bundle
 from telewide.calibration.distortion import LADDER, N_LENS, F, prior_of_lens
-from telewide.calibration.models import best_model, free_numbers, ladder
+from telewide.calibration.model_selection import best_model, free_numbers, ladder
 from telewide.calibration.poses import noise_px, placed, unplaced, view_scale_px
 from telewide.calibration.problem import Problem, Sightings, State
 

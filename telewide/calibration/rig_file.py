@@ -20,9 +20,9 @@ from telewide.calibration.result import Calibration, CameraStd, TransformStd
 from telewide.calibration.rig_sheet import CameraSheet, CameraStdSheet, CheckSheet, QualitySheet, RigSheet, RigStdSheet
 from telewide.capture.rundir import write_text
 from telewide.errors import InputError, UsageError
+from telewide.files import read_yaml
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.options import parse_options
-from telewide.records import read_yaml
 
 RIG_FILE = Path("rig.yaml")
 _ANOTHER_RIG = (
@@ -88,7 +88,7 @@ def stored_rig(calibration: Calibration, *, facts: RigFacts) -> StoredRig:
     """The part of a calibration that goes into a file.
 
     Args:
-        calibration: what :func:`telewide.calibration.solve.calibrate_rig` returned.
+        calibration: what :func:`telewide.calibration.solver.calibrate_rig` returned.
         facts: how it was made.
     """
     used = [{view.shot for view in calibration.views if view.camera == lens and view.is_used} for lens in _LENSES]
@@ -112,7 +112,7 @@ def write_rig(path: Path, calibration: Calibration, *, facts: RigFacts) -> None:
 
     Args:
         path: the file to write or to replace.
-        calibration: what :func:`telewide.calibration.solve.calibrate_rig` returned.
+        calibration: what :func:`telewide.calibration.solver.calibrate_rig` returned.
         facts: how it was made.
 
     Raises:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from telewide.calibration.shots import BoardShot
+from telewide.boards.shots import BoardShot
 from telewide.capture.exif import PhotoFacts, read_photo_facts
 from telewide.capture.lenses import Lens, find_lenses, lens_of, why_cropped
 from telewide.errors import InputError, TelewideError

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from telewide.calibration.detect import BoardView
+from telewide.boards.detection import BoardView
+from telewide.boards.shots import DetectedShot
 from telewide.calibration.problem import Sightings
 from telewide.calibration.result import Lens
-from telewide.calibration.shots import DetectedShot
 from telewide.errors import InputError
 
 FloatArray = NDArray[np.float64]

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.detect import BoardView
+from telewide.boards.detection import BoardView
+from telewide.boards.shots import DetectedShot
 from telewide.calibration.distortion import project
 from telewide.calibration.extrinsics import Agreement
 from telewide.calibration.intrinsics import largest_agreeing_px
 from telewide.calibration.problem import State
 from telewide.calibration.result import ViewResult
-from telewide.calibration.shots import DetectedShot
 from telewide.calibration.sightings import LENSES, Gathered, square_px, view_of
 
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 from telewide.capture.exif import PhotoFacts
 from telewide.capture.pillow_photos import open_photo
 from telewide.errors import InputError
-from telewide.records import open_regular
+from telewide.files import open_regular
 
 DAMAGED = "cannot be read: the file is cut off or damaged; copy it again from the phone"
 _COARSE_PX = (16, 16)

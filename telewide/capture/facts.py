@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from telewide.errors import InputError
-from telewide.records import read_yaml
+from telewide.files import read_yaml
 
 if TYPE_CHECKING:
     from pydantic import ValidationError

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
 from telewide.errors import InputError
-from telewide.records import open_regular
+from telewide.files import open_regular
 
 if TYPE_CHECKING:
     import tifffile

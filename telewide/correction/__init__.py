@@ -1,1 +1,1 @@
-"""What makes the two views comparable: rows, colour, and a verdict on the pair."""
+"""What moved or differs in this shot: rows, pose, colour, blur, and a verdict on the pair."""

@@ -2,7 +2,7 @@
 
 Three sources know it of photos as captured: a rig's intrinsics, the scale of matches, EXIF. They are compared here, and
 disagreement is said. On rectified views, enlarged to one size, only sharpness still tells of it: see
-:mod:`telewide.correction.bandwidth`.
+:mod:`telewide.points.bandwidth`.
 """
 
 from __future__ import annotations

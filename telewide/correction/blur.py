@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from telewide.correction.bandwidth import SIGMA_PER_FACTOR_PX
-from telewide.correction.matches import FloatImage, Matches
-from telewide.correction.registered import Patches, cut_patches, find_patches
+from telewide.points.bandwidth import SIGMA_PER_FACTOR_PX
+from telewide.points.matches import FloatImage, Matches
+from telewide.points.registered import Patches, cut_patches, find_patches
 from telewide.srgb import grey
 
 FloatArray = NDArray[np.float64]

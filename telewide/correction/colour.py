@@ -25,8 +25,8 @@ from telewide.correction.colour_model import (
     transform_colours,
     transform_image,
 )
-from telewide.correction.matches import FloatImage, Matches
-from telewide.correction.registered import Patches, cut_patches, find_patches, shifted_patches
+from telewide.points.matches import FloatImage, Matches
+from telewide.points.registered import Patches, cut_patches, find_patches, shifted_patches
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FloatArray = NDArray[np.float64]

@@ -17,10 +17,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from telewide.correction.epipolar import matching_unit_px, vertical_misfit_px
-from telewide.correction.matches import Matches
-from telewide.correction.shot import ShotRefinement, refined_rig
+from telewide.correction.refinement import ShotRefinement, refined_rig
 from telewide.geometry.rig import StereoRig
+from telewide.points.epipolar import matching_unit_px, vertical_misfit_px
+from telewide.points.matches import Matches
 
 FloatArray = NDArray[np.float64]
 

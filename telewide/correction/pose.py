@@ -14,17 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.correction.epipolar import (
+from telewide.geometry.rectification import MAX_TILT_DEG
+from telewide.geometry.rig import StereoRig
+from telewide.points.epipolar import (
     epipolar_misfit_px,
     matching_unit_px,
     moved_rig,
     rectified_points,
     turned_points,
 )
-from telewide.correction.matches import Matches
-from telewide.correction.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian
-from telewide.geometry.rectification import MAX_TILT_DEG
-from telewide.geometry.rig import StereoRig
+from telewide.points.matches import Matches
+from telewide.points.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian
 
 FloatArray = NDArray[np.float64]
 

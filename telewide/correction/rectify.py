@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.pair import RectifiedPair
-from telewide.correction.resample import resample
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
+from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig
 from telewide.geometry.stereo import BoolMap, FloatMap
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from telewide.capture.pair import PairReader
-from telewide.correction.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.matching.inference import match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.matching.window import Window
+from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 
 
 def network_judge(

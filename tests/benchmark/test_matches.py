@@ -19,9 +19,9 @@ from telewide.capture.rundir import RunFolder
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.window import Window
-from telewide.prepare import prepare_captures
 from telewide.recipe import Recipe
 from telewide.simulate.captures import write_captures
+from telewide.stages.prepare import prepare_captures
 
 Map = NDArray[np.float32]
 OFF_PX = 2.0

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telewide import cli
 from telewide.benchmark.metres import (
     BAND_SHARE,
     DEPTHS_M,
@@ -24,11 +23,12 @@ from telewide.benchmark.metres import (
 )
 from telewide.benchmark.report import BenchmarkReport
 from telewide.capture.images import read_image, read_pfm, write_image, write_pfm
+from telewide.cli import app
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
-from telewide.output.capture_depth import DepthOutcome
 from telewide.pipeline import DepthRun
 from telewide.simulate.phone import phone_rig, write_phone
+from telewide.stages.capture_depth import DepthOutcome
 
 GAIN = 20.0
 SHARES = ("known", "error_p50", "error_p90", "allowed", "inside_95")
@@ -154,7 +154,7 @@ def test_depths_of_a_phone_need_a_nearer_and_a_farther_one(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_from_photos_to_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["benchmark", "metres", "--width", "480", "--boards", "10", "--json", str(tmp_path / "metres.json")]
-    assert cli._exit_code([*words, "--keep", str(tmp_path / "kept")]) == 0
+    assert app._exit_code([*words, "--keep", str(tmp_path / "kept")]) == 0
     assert len(capsys.readouterr().out.strip().splitlines()) == 2 + 4 * len(DISTANCES_M)
     rows = json.loads((tmp_path / "metres.json").read_text())["rows"]
     for row in rows:

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from telewide.benchmark.contenders import Contender, semiglobal_contender
+from telewide.benchmark.datasets import middlebury_2006_scenes
 from telewide.benchmark.middlebury import (
     SKIPPED_COLUMNS,
     SPLITS,
@@ -17,7 +18,6 @@ from telewide.benchmark.middlebury import (
     score_map,
 )
 from telewide.benchmark.report import BenchmarkReport
-from telewide.capture.datasets import middlebury_2006_scenes
 from telewide.capture.images import write_image
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from telewide.calibration.detect import BoardView
-from telewide.calibration.shots import DetectedShot
+from telewide.boards.detection import BoardView
+from telewide.boards.shots import DetectedShot
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 FloatArray = NDArray[np.float64]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from calibration.known_rig import World, camera, phone
 
-from telewide.calibration.detect import BoardView
+from telewide.boards.detection import BoardView
+from telewide.boards.shots import DetectedShot
 from telewide.calibration.intrinsics import agrees, largest_agreeing_px
 from telewide.calibration.quality import Check
 from telewide.calibration.result import Calibration, ViewResult
-from telewide.calibration.shots import DetectedShot
-from telewide.calibration.solve import calibrate_rig
+from telewide.calibration.solver import calibrate_rig
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 

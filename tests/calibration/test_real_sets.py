@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from telewide.calibration.boards import board_points_m, load_board
+from telewide.boards.board import board_points_m, load_board
+from telewide.boards.shots import BoardShot, DetectedShot, detect_shots
 from telewide.calibration.result import Calibration
-from telewide.calibration.shots import BoardShot, DetectedShot, detect_shots
-from telewide.calibration.solve import calibrate_rig
+from telewide.calibration.solver import calibrate_rig
 
 BOARD = load_board("chessboard_9x6")
 SQUARE_M = BOARD.square_m

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration.board_photos import board_photo, px_from_pattern
+from boards.board_photos import board_photo, px_from_pattern
 from capture.roll import TELE, WIDE, exif_of, write_photo
 from PIL import Image
 
-from telewide.calibration.boards import Board
-from telewide.calibration.detect import BoardView
+from telewide.boards.board import Board
+from telewide.boards.detection import BoardView
+from telewide.boards.orientation import turned_view
+from telewide.boards.shots import BoardShot, detect_shots, find_board_shots
 from telewide.calibration.shot_facts import with_checked_facts
-from telewide.calibration.shots import BoardShot, detect_shots, find_board_shots
-from telewide.calibration.turned import turned_view
 from telewide.errors import InputError
 
 CROP = {"focal": 4.25, "f35": 52}

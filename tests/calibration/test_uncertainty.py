@@ -9,10 +9,10 @@ import pytest
 from calibration.known_rig import World
 from numpy.typing import NDArray
 
+from telewide.boards.shots import DetectedShot
 from telewide.calibration.bundle import solve_bundle, solve_poses
 from telewide.calibration.distortion import N_LENS, prior_of_lens
 from telewide.calibration.problem import N_SHARED, RIG, Problem, State
-from telewide.calibration.shots import DetectedShot
 from telewide.calibration.sightings import gather
 from telewide.calibration.uncertainty import Uncertainty, uncertainty
 

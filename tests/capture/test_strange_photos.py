@@ -21,7 +21,7 @@ from capture.dng import gain_map, opcode_list, warp, write_dng
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from telewide.calibration.shots import find_board_shots
+from telewide.boards.shots import find_board_shots
 from telewide.capture import sizes
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_image

@@ -21,8 +21,8 @@ from telewide.correction.blur import (
     sigma_from_factor,
 )
 from telewide.correction.colour import apply_colour, fit_colour
-from telewide.correction.inspect import correct_pair
-from telewide.correction.matches import Matches, find_matches
+from telewide.correction.verdict import correct_pair
+from telewide.points.matches import Matches, find_matches
 from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.layers import Layer, LayeredScene, RenderedPair, render_pair
 

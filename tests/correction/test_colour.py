@@ -27,8 +27,8 @@ from telewide.correction.colour_model import (
     transform_colours,
     transform_image,
 )
-from telewide.correction.inspect import correct_pair
-from telewide.correction.matches import Matches, find_matches, split_matches
+from telewide.correction.verdict import correct_pair
+from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.simulate.layers import RenderedPair
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 

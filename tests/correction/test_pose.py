@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from rig_worlds import angle_deg, measured, phone_rig, seen_points, wide_centre
 
-from telewide.correction.epipolar import moved_rig, vertical_misfit_px
 from telewide.correction.moving import find_moving, moving_mask, moving_note
 from telewide.correction.pose import fit_pose
-from telewide.correction.shot import ShotRefinement, fit_shot, refined_rig
+from telewide.correction.refinement import ShotRefinement, fit_shot, refined_rig
+from telewide.points.epipolar import moved_rig, vertical_misfit_px
 
 
 @pytest.mark.parametrize(("seed", "is_vertical"), [(0, False), (1, True), (2, False)])

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telewide.calibration.boards import board_points_m, load_board
-from telewide.calibration.detect import detect_board
+from telewide.boards.board import board_points_m, load_board
+from telewide.boards.detection import detect_board
 from telewide.capture.images import read_image, read_pfm
-from telewide.cli import app
+from telewide.cli.app import app
 from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.simulate.phone import lenses_of, phone_rig

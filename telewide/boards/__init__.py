@@ -1,0 +1,1 @@
+"""Calibration boards: printed, photographed, and found in photos."""

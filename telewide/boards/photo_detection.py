@@ -1,0 +1,104 @@
+"""Find a board in many photos: one process per core, each with one photo at a time."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.boards.board import Board
+from telewide.boards.detection import BoardView, detect_board
+from telewide.capture.images import read_image
+from telewide.cores import usable_cores
+from telewide.errors import InputError, UsageError
+
+MAX_PROCESSES = 8
+"""Each holds a photo of some 100 to 500 MB."""
+_FEW_PHOTOS = 3  # are done before a process has started
+_log = logging.getLogger("telewide")
+
+
+@dataclass(frozen=True)
+class PhotoResult:
+    """What came of one photo.
+
+    Attributes:
+        view: the corners, or None where none were found.
+        note: why none were found; None where some were.
+    """
+
+    view: BoardView | None
+    note: str | None = None
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """Read a photo upright, as (H, W) uint8 grey, sRGB-encoded.
+
+    Args:
+        path: any photo that can be read.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it cannot be read.
+    """
+    grey = cv2.cvtColor(read_image(path), cv2.COLOR_RGB2GRAY)
+    return np.asarray(grey * np.float32(255) + np.float32(0.5), dtype=np.uint8)
+
+
+def detect_photos(paths: Sequence[Path], *, board: Board, processes: int | None = None) -> Iterator[PhotoResult]:
+    """Find a board in photos.
+
+    Args:
+        paths: the photos.
+        board: what they show.
+        processes: how many to work with; None takes one per core, 1 works in this one.
+
+    Yields:
+        A result for each, in their order, as soon as it is there.
+
+    Raises:
+        MissingPartError: a photo needs a reader that is not installed.
+    """
+    n_processes = min(processes or _n_cores(), len(paths))
+    done = 0
+    if n_processes > 1 and (processes is not None or len(paths) > _FEW_PHOTOS):
+        try:
+            for result in _detect_in_processes(paths, board, n_processes):
+                yield result
+                done += 1
+        except BrokenProcessPool:
+            # Out of memory, or the caller's script cannot be started twice: one photo at a time still works.
+            _log.warning("the processes that look for boards were stopped; going on with one")
+    for path in paths[done:]:
+        yield _detect_photo(path, board)
+
+
+def _detect_in_processes(paths: Sequence[Path], board: Board, n_processes: int) -> Iterator[PhotoResult]:
+    pool = ProcessPoolExecutor(
+        n_processes, mp_context=multiprocessing.get_context("spawn"), initializer=cv2.setNumThreads, initargs=(1,)
+    )
+    try:
+        for future in [pool.submit(_detect_photo, path, board) for path in paths]:
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _detect_photo(path: Path, board: Board) -> PhotoResult:
+    try:
+        view = detect_board(read_grey(path), board=board)
+    except (InputError, UsageError) as error:
+        return PhotoResult(None, error.message)
+    return PhotoResult(view, None if view is not None else f"no board found in {path}")
+
+
+def _n_cores() -> int:
+    return min(usable_cores(), MAX_PROCESSES)

@@ -1,0 +1,227 @@
+"""Board photos in a folder, and the corners found in them.
+
+    <shot>/tele.*           <shot>/wide.*           a folder per shot; one of the two may be missing
+    tele/<shot>.*           wide/<shot>.*           a folder per lens
+    tele_close/<photo>.*    wide_close/<photo>.*    photos of one lens alone
+
+Letter case does not matter, hidden files are not looked at. Of a RAW photo and its JPEG the RAW is taken, if the other
+lens has one too.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from telewide.boards.board import Board
+from telewide.boards.detection import BoardView
+from telewide.boards.orientation import alike_numbered, turned_view
+from telewide.boards.pattern import aruco_dictionary
+from telewide.boards.photo_detection import PhotoResult, detect_photos
+from telewide.capture.formats import (
+    HEIF_SUFFIXES,
+    JPEG_SUFFIXES,
+    PHOTO_SUFFIXES,
+    RAW_SUFFIXES,
+    READ_KINDS,
+    UNREAD_SUFFIXES,
+)
+from telewide.capture.layout import VIEWS, is_same_file, joined_by_case
+from telewide.errors import InputError, UsageError
+
+_CLOSE_UPS = {"tele_close": "tele", "wide_close": "wide"}
+_LOSSY_SUFFIXES = JPEG_SUFFIXES | {".webp"}
+_MAX_LISTED = 5
+_LAYOUTS = "<shot>/tele.* with <shot>/wide.*, or tele/<shot>.* with wide/<shot>.*; tele_close/ and wide_close/ alone"
+
+
+@dataclass(frozen=True)
+class BoardShot:
+    """Photos of a board taken at once, or of one lens alone.
+
+    Attributes:
+        name: unique in its folder; ``tele_close/<photo>`` for a photo of one lens alone.
+        tele_path: photo of the tele camera, if there is one.
+        wide_path: photo of the wide camera, if there is one.
+        notes: what was chosen or left aside, for people.
+        tele_turn_deg: how far clockwise the tele photo is to be turned to be held like most, a multiple of 90.
+        wide_turn_deg: likewise of the wide photo.
+    """
+
+    name: str
+    tele_path: Path | None
+    wide_path: Path | None
+    notes: tuple[str, ...] = ()
+    tele_turn_deg: int = 0
+    wide_turn_deg: int = 0
+
+
+@dataclass(frozen=True)
+class DetectedShot:
+    """The corners found in a shot; a corner has the same id in both views.
+
+    Attributes:
+        name: of the shot.
+        tele: corners in the tele photo, or None where there is no photo or no board in it.
+        wide: corners in the wide photo, likewise.
+        notes: what went wrong, for people.
+    """
+
+    name: str
+    tele: BoardView | None
+    wide: BoardView | None
+    notes: tuple[str, ...] = ()
+
+
+Tick = Callable[[DetectedShot], None]
+# name of a shot -> tele or wide -> the files that could be it
+_Candidates = dict[str, dict[str, list[Path]]]
+
+
+def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
+    """Find the board photos in a folder, in any of the layouts above, also mixed.
+
+    Args:
+        folder: holds the photos.
+
+    Returns:
+        The shots, sorted by name, never empty.
+
+    Raises:
+        UsageError: there is no such folder.
+        InputError: it holds no board photos.
+    """
+    if not folder.is_dir():
+        found = "is a file" if folder.exists() else "does not exist"
+        raise UsageError(f"{folder} {found}; a folder with photos of a board was expected")
+    candidates: _Candidates = defaultdict(lambda: defaultdict(list))
+    for entry in _visible(folder):
+        if entry.is_dir():
+            _add_folder(candidates, entry)
+    shots = tuple(_shot(name, views) for name, views in sorted(joined_by_case(candidates).items()))
+    if not shots:
+        names = [entry.name for entry in _visible(folder)]
+        more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
+        inside = f"it holds {', '.join(names[:_MAX_LISTED])}{more}" if names else "it is empty"
+        raise InputError(f"{folder} holds no photos of a board: {inside}", hint=f"expected {_LAYOUTS}")
+    return shots
+
+
+def detect_shots(
+    shots: Sequence[BoardShot], *, board: Board, tick: Tick | None = None, processes: int | None = None
+) -> tuple[DetectedShot, ...]:
+    """Find the board in every photo, several at a time.
+
+    Args:
+        shots: the photos.
+        board: what they show.
+        tick: called with each shot when it is done, in the order of the shots.
+        processes: how many to work with; None takes one per core. The result does not depend on it.
+
+    Returns:
+        One for each shot, in their order; a photo that cannot be used is a note.
+
+    Raises:
+        InputError: the board is in none of the photos, or it names markers that OpenCV does not have.
+        MissingPartError: a photo needs a reader that is not installed.
+    """
+    if board.kind != "chessboard":
+        aruco_dictionary(board)  # its mistakes are the board's, not the photos'
+    paths = [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
+    results = detect_photos(paths, board=board, processes=processes)
+    detected: list[DetectedShot] = []
+    for shot in shots:
+        found = {
+            view: next(results)
+            for view, path in (("tele", shot.tele_path), ("wide", shot.wide_path))
+            if path is not None
+        }
+        detected.append(_detected(shot, found, board))
+        if tick is not None:
+            tick(detected[-1])
+    if not any(shot.tele or shot.wide for shot in detected):
+        raise _nothing_found(detected, board, n_photos=len(paths))
+    return tuple(detected)
+
+
+def _add_folder(candidates: _Candidates, folder: Path) -> None:
+    role = folder.name.casefold().replace("-", "_").replace(" ", "_")
+    for file in _visible(folder):
+        if file.suffix.lower() not in PHOTO_SUFFIXES | UNREAD_SUFFIXES or not file.is_file():
+            continue
+        stem = unicodedata.normalize("NFC", file.stem)
+        if role in _CLOSE_UPS:
+            candidates[f"{role}/{stem}"][_CLOSE_UPS[role]].append(file)
+        elif role in VIEWS:
+            candidates[stem][role].append(file)
+        elif stem.casefold() in VIEWS:
+            candidates[unicodedata.normalize("NFC", folder.name)][stem.casefold()].append(file)
+
+
+def _visible(folder: Path) -> list[Path]:
+    try:
+        entries = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"{folder} cannot be opened: {error.strerror or error}") from error
+    return [entry for entry in entries if not entry.name.startswith((".", "__MACOSX"))]
+
+
+def _shot(name: str, views: dict[str, list[Path]]) -> BoardShot:
+    are_all_raw = all(any(_is_raw(path) for path in paths) for paths in views.values())
+    chosen: dict[str, Path] = {}
+    notes = []
+    for view, files in views.items():
+        paths = [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
+        if not paths:
+            notes.append(f"{view}: {files[0]} cannot be read; {READ_KINDS} are read")
+            continue
+        chosen[view], *others = sorted(paths, key=lambda path: (_rank(path, is_raw_first=are_all_raw), str(path)))
+        # A RAW and its JPEG are one photo, nothing to speak of.
+        if others and any(path.stem != chosen[view].stem or path.parent != chosen[view].parent for path in others):
+            notes.append(f"several files for {view}: {chosen[view]} is taken")
+    if len(chosen) == 2 and is_same_file(chosen["tele"], chosen["wide"]):
+        notes.append("tele and wide are the same picture; it is left out")
+        chosen = {}
+    return BoardShot(name, chosen.get("tele"), chosen.get("wide"), tuple(notes))
+
+
+def _rank(path: Path, *, is_raw_first: bool) -> int:
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return 0 if is_raw_first else 4
+    return 3 if suffix in _LOSSY_SUFFIXES else 2 if suffix in HEIF_SUFFIXES else 1
+
+
+def _is_raw(path: Path) -> bool:
+    return path.suffix.lower() in RAW_SUFFIXES
+
+
+def _detected(shot: BoardShot, found: dict[str, PhotoResult], board: Board) -> DetectedShot:
+    notes = [*shot.notes, *(f"{view}: {result.note}" for view, result in found.items() if result.note)]
+    turns_deg = {"tele": shot.tele_turn_deg, "wide": shot.wide_turn_deg}
+    tele, wide = (
+        turned_view(result, turns_deg[view]) if view in found and (result := found[view].view) else None
+        for view in VIEWS
+    )
+    if tele is not None and wide is not None:
+        wide, turned_note = alike_numbered(tele, wide, board=board)
+        notes += [turned_note] if turned_note else []
+    return DetectedShot(shot.name, tele, wide, tuple(notes))
+
+
+def _nothing_found(detected: Iterable[DetectedShot], board: Board, *, n_photos: int) -> InputError:
+    notes = [f"\n  {shot.name}: {note}" for shot in detected for note in shot.notes]
+    more = f"\n  and {len(notes) - _MAX_LISTED} more" if len(notes) > _MAX_LISTED else ""
+    counted = {"chessboard": "inner corners", "charuco": "squares", "aruco_grid": "markers"}[board.kind]
+    hint = "name the board that was photographed with --board; it must be flat, sharp and, as chessboard, whole"
+    if board.kind == "charuco" and board.rows % 2 == 0:
+        hint = f"{hint}; legacy_pattern: true is for boards with a marker at the top left, false for the others"
+    return InputError(
+        f"no {board.kind} of {board.columns} x {board.rows} {counted} in any of {n_photos} photos"
+        + "".join(notes[:_MAX_LISTED])
+        + more,
+        hint=hint,
+    )

@@ -1,0 +1,165 @@
+"""What a picture is focused on: a point, the nearest or the farthest surface, or the subject in the middle.
+
+A surface is what lies within a slab of disparity; everything but a point is found from confident pixels alone.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.depth.edges import nearest_known
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import BoolMap, FloatMap
+
+FloatArray = NDArray[np.float64]
+
+FOCUS_WORDS = ("auto", "near", "far")
+OUTLIER_PERCENT = 0.5  # of the pixels at either end, whose disparity is taken for a mistake
+CONFIDENT = 0.5
+POINT_WINDOW_PX = 2
+SAME_SURFACE_PX = 1.0
+SLAB_SHARE, SLAB_MIN_PX = 0.1, 1.0
+"""Thickness of the surface that "auto" looks for: a share of the scene's disparities, and at least so many px."""
+SUBJECT_SHARE = 0.12
+"""A surface that fills so much of the middle is large enough to be the subject."""
+_SLAB_STEPS = 8
+_MIDDLE = 12
+"""The middle fades out from the centre as ``exp(-12 r^2)``, r from 0 to 1 at the sides: about their inner half."""
+
+
+@dataclass(frozen=True)
+class Focus:
+    """What is sharp.
+
+    Attributes:
+        disparity_px: of the plane of focus.
+        x_px: column of the point of that plane nearest to where it was looked for.
+        y_px: its row.
+    """
+
+    disparity_px: float
+    x_px: int
+    y_px: int
+
+
+def find_focus(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> Focus:
+    """Find what to focus on.
+
+    Args:
+        disparity_px: (H, W) float32, px, on the tele photo.
+        confidence: (H, W) float32 in [0, 1].
+        focus: "X,Y", a point of the tele photo in px; "near" or "far", the nearest or farthest confident surface;
+            "auto", the nearest surface that fills an eighth of the middle of the photo, or else its largest one.
+
+    Returns:
+        The plane of focus, and a point that lies on it.
+
+    Raises:
+        UsageError: the focus is none of these, or a point outside the photo.
+        InputError: the map holds no known value.
+    """
+    known = np.isfinite(disparity_px)
+    if not known.any():
+        raise InputError("the disparity map holds no known value")
+    point_xy = named_point(focus, hw=disparity_px.shape)
+    if point_xy is not None:
+        return _at_point(disparity_px, known, point_xy)
+    word = _word(focus)
+    trusted = known & (confidence >= CONFIDENT)
+    if not trusted.any():
+        trusted = known
+    if word == "auto":
+        focus_px = _subject_disparity(disparity_px, np.where(trusted, np.maximum(confidence, 1e-3), 0))
+    else:
+        percent = 100 - OUTLIER_PERCENT if word == "near" else OUTLIER_PERCENT
+        focus_px = float(np.percentile(disparity_px[trusted], percent))
+    return _placed(disparity_px, trusted, focus_px)
+
+
+def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Column and row of the tele photo that a focus names; None for one of the words.
+
+    Args:
+        focus: as in :func:`find_focus`.
+        hw: height and width of the photo, px; None where they are not known, and any point will do.
+
+    Raises:
+        UsageError: the focus is none of these, or a point outside the photo.
+    """
+    if _word(focus) in FOCUS_WORDS:
+        return None
+    try:
+        x, y = (float(part) for part in focus.split(","))
+        column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+    except (ValueError, OverflowError):  # also of nan and inf
+        raise UsageError(
+            f"focus {focus!r}: expected X,Y in pixels of the tele photo, or one of {', '.join(FOCUS_WORDS)}"
+        ) from None
+    if hw is not None and not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
+        raise UsageError(
+            f"focus {focus!r} lies outside the tele photo of {hw[1]} x {hw[0]} px",
+            hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
+        )
+    return column, row
+
+
+def _word(focus: str) -> str:
+    return focus.strip().lower()
+
+
+def _at_point(disparity_px: FloatMap, known: BoolMap, point_xy: tuple[int, int]) -> Focus:
+    """Median over the surface that a point lies on, so that neither one bad pixel nor a near edge moves it."""
+    x, y = point_xy
+    if not known[y, x]:
+        y, x = (int(v) for v in np.unravel_index(nearest_known(known)[1][y, x], known.shape))
+    rows, columns = (slice(max(v - POINT_WINDOW_PX, 0), v + POINT_WINDOW_PX + 1) for v in (y, x))
+    around_px = disparity_px[rows, columns]
+    return Focus(float(np.median(around_px[np.abs(around_px - disparity_px[y, x]) <= SAME_SURFACE_PX])), x, y)
+
+
+def _placed(disparity_px: FloatMap, trusted: BoolMap, focus_px: float) -> Focus:
+    """The point nearest to the middle of the photo that is as sharp as any."""
+    off_px = np.where(trusted, np.abs(disparity_px - focus_px), np.inf)
+    is_sharp = off_px <= max(SAME_SURFACE_PX / 4, float(off_px.min()))
+    height, width = disparity_px.shape
+    rows, columns = np.nonzero(is_sharp)
+    nearest = int(np.argmin((rows - (height - 1) / 2) ** 2 + (columns - (width - 1) / 2) ** 2))
+    return Focus(focus_px, int(columns[nearest]), int(rows[nearest]))
+
+
+def _subject_disparity(disparity_px: FloatMap, weight: FloatMap) -> float:
+    """Median of the nearest slab of disparity that holds enough of the middle of the photo, or of the fullest one."""
+    height, width = disparity_px.shape
+    y, x = np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None]
+    central = weight * np.exp(-_MIDDLE * (x**2 + y**2))
+    value_px, share = disparity_px[weight > 0].astype(np.float64), central[weight > 0].astype(np.float64)
+    far_px, near_px = np.percentile(value_px, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT))
+    inside = (value_px >= far_px) & (value_px <= near_px)
+    value_px, share = value_px[inside], share[inside]
+    slab_px = max(SLAB_SHARE * (near_px - far_px), SLAB_MIN_PX)
+    start_px = _nearest_slab(value_px - far_px, share / share.sum(), slab_px=slab_px) + far_px
+    in_slab = (value_px >= start_px) & (value_px <= start_px + slab_px)
+    return _weighted_median(value_px[in_slab], share[in_slab])
+
+
+def _nearest_slab(value_px: FloatArray, share: FloatArray, *, slab_px: float) -> float:
+    """Far side of the slab of :func:`_subject_disparity`."""
+    step_px = slab_px / _SLAB_STEPS
+    histogram = np.bincount((value_px / step_px).astype(np.int64), weights=share)
+    held = np.convolve(histogram, np.ones(_SLAB_STEPS))[_SLAB_STEPS - 1 :]  # by slab, named by its farthest step
+    large = np.flatnonzero(held >= SUBJECT_SHARE)
+    first = int(large[-1]) if len(large) else int(held.argmax())
+    while len(large) and first > 0 and held[first - 1] > held[first]:  # the whole surface, not its near side alone
+        first -= 1
+    return first * step_px
+
+
+def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+    order = np.argsort(values)
+    passed = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(passed, passed[-1] / 2)])

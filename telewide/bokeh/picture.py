@@ -1,0 +1,150 @@
+"""The bokeh picture a user asks for: focus and strength in their words, checked before anything is computed.
+
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from telewide.bokeh.focus import FOCUS_WORDS, Focus, find_focus, named_point
+from telewide.bokeh.render import (
+    radius_per_px_from_f_number,
+    radius_per_px_from_strength,
+    render_bokeh,
+)
+from telewide.capture.exif import read_photo_facts
+from telewide.capture.pair import CaptureSet
+from telewide.depth.precision_notes import away_words
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import DisparityMap, FloatMap
+
+DEFAULT_STRENGTH_SHARE = 0.012
+"""Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
+
+
+@dataclass(frozen=True)
+class BokehOptions:
+    """How a bokeh picture is focused and how strongly it is blurred.
+
+    Attributes:
+        focus: "X,Y" in px of the tele photo, near, far or auto.
+        strength_px: radius of the strongest blur, px; None for the default.
+        f_number: of an imitated 50 mm lens; needs the baseline.
+    """
+
+    focus: str = "auto"
+    strength_px: float | None = None
+    f_number: float | None = None
+
+
+def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m: float | None = None) -> None:
+    """Refuse a bokeh that no capture of a set can have, before hours are spent on the way to it.
+
+    Args:
+        bokeh: as asked for; None is always fine.
+        captures: the set.
+        baseline_m: distance of the lenses where a rig states it; None asks what is stated of the captures.
+
+    Raises:
+        UsageError: an f-number without the lenses' distance, or a focus that is no word and no point of any tele photo.
+    """
+    if bokeh is None:
+        return
+    if bokeh.f_number is not None and (baseline_m or captures.facts.baseline_m) is None:
+        raise UsageError(
+            "--f-number needs the distance of the two lenses, which neither a rig nor captures.yaml states",
+            hint="calibrate, state baseline_m in captures.yaml, or give the blur in pixels with --strength",
+        )
+    if named_point(bokeh.focus, hw=None) is None:
+        return
+    refusal: UsageError | None = None
+    for capture in captures.captures:
+        try:
+            named_point(bokeh.focus, hw=read_photo_facts(capture.tele_path).hw)
+        except UsageError as error:
+            refusal = error
+        except InputError:  # it is a problem of that capture, and said where the captures are read
+            continue
+        else:
+            return
+    if refusal is not None:
+        raise refusal
+
+
+def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None) -> str | None:
+    """Tell why one capture cannot have the bokeh asked for.
+
+    Args:
+        options: as asked for.
+        baseline_m: distance of the lenses in this shot, m; None where it is not known.
+
+    Returns:
+        One sentence, or None where nothing is missing.
+    """
+    if options.f_number is None or baseline_m is not None:
+        return None
+    return "--f-number needs the distance of the two lenses, not known for this shot; --strength gives the blur in px"
+
+
+def focus_note(
+    name: str, focus: Focus, *, depth_m: float | None, options: BokehOptions, std_m: float | None = None
+) -> str:
+    """Say what a bokeh picture is focused on, so that its owner can choose another place.
+
+    Args:
+        name: of the capture.
+        focus: what was found.
+        depth_m: distance of that place, m; None where it is not known.
+        options: what was asked for.
+        std_m: standard deviation of the distance, m; None likewise.
+    """
+    distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
+    word = options.focus.strip().lower()
+    ways = {
+        "auto": "the nearest large surface in the middle; --focus X,Y, near or far chooses another",
+        "near": "the nearest surface",
+        "far": "the farthest surface",
+    }
+    why = f" ({ways[word]})" if word in FOCUS_WORDS else ""
+    place = f"x {focus.x_px}, y {focus.y_px}"
+    return f"{name}: bokeh is focused on {place}{distance}, disparity {focus.disparity_px:.1f} px{why}"
+
+
+def bokeh_picture(
+    photo: FloatMap,
+    disparity: DisparityMap,
+    *,
+    options: BokehOptions,
+    baseline_m: float | None,
+    focus: Focus | None = None,
+) -> FloatMap:
+    """Blur a photo by its disparity.
+
+    Args:
+        photo: (H, W, 3) tele, sRGB.
+        disparity: on the photo.
+        options: focus and strength.
+        baseline_m: distance of the lenses, m; needed for an f-number.
+        focus: what is sharp; None finds what the options say.
+
+    Returns:
+        (H, W, 3) sRGB.
+
+    Raises:
+        UsageError: an f-number without the distance of the lenses.
+    """
+    refusal = why_no_bokeh(options, baseline_m=baseline_m)
+    if refusal is not None:
+        raise UsageError(refusal)
+    if focus is None:
+        focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
+    focus_px = focus.disparity_px
+    if options.f_number is not None and baseline_m is not None:
+        radius_per_px = radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
+    else:
+        strength_px = options.strength_px
+        if strength_px is None:
+            strength_px = DEFAULT_STRENGTH_SHARE * max(photo.shape[:2])
+        radius_per_px = radius_per_px_from_strength(disparity.disparity_px, focus_px, strength_px=strength_px)
+    return render_bokeh(photo, disparity.disparity_px, focus_disparity_px=focus_px, radius_per_px=radius_per_px)

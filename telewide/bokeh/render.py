@@ -1,0 +1,103 @@
+"""Shallow depth of field from one sharp photo and its disparity.
+
+The signed radius of the circle of confusion is ``radius_px = radius_per_px * (d - d_focus)``: positive in front of the
+focus plane. Light is averaged in linear light and nothing is clipped; `lens` does the rendering.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.bokeh.focus import OUTLIER_PERCENT
+from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
+from telewide.depth.edges import fill_unknown
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import FloatMap
+from telewide.srgb import linear_from_srgb, srgb_from_linear
+
+FloatImage = NDArray[np.float32]
+
+LARGEST_RADIUS_SHARE = 0.1  # of the shorter side: f/1.8 at half a metre stays below; larger disks would take many GB
+
+
+def render_bokeh(
+    image_srgb: FloatImage, disparity_px: FloatMap, *, focus_disparity_px: float, radius_per_px: float
+) -> FloatImage:
+    """Blur a sharp photo as a wide-open lens would, focused at one disparity.
+
+    Radii above a tenth of the shorter side are taken for that tenth.
+
+    Args:
+        image_srgb: (H, W, 3) float32, the sharp photo; values above 1 (recovered highlights) are welcome.
+        disparity_px: (H, W) float32, px, on the photo; what is not finite is filled from its nearest neighbour.
+        focus_disparity_px: the disparity that stays sharp, px.
+        radius_per_px: radius of the circle of confusion per px of disparity away from the focus, >= 0.
+
+    Returns:
+        (H, W, 3) float32, in the range of the input.
+
+    Raises:
+        UsageError: focus or radius is not a finite number, or the radius is negative.
+        InputError: the disparity has another size than the photo, or no known value.
+    """
+    if not (math.isfinite(radius_per_px) and radius_per_px >= 0 and math.isfinite(focus_disparity_px)):
+        raise UsageError(
+            f"blur of {radius_per_px} px per px at focus {focus_disparity_px} px: both must be finite, the blur >= 0"
+        )
+    if image_srgb.shape[:2] != disparity_px.shape:
+        raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
+    cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
+    radius_px = np.clip((fill_unknown(disparity_px) - focus_disparity_px) * radius_per_px, -cap_px, cap_px)
+    radius_px = radius_px.astype(np.float32)
+    if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
+        return image_srgb.astype(np.float32, copy=True)
+    return srgb_from_linear(spread_light(linear_from_srgb(image_srgb), radius_px))
+
+
+def radius_per_px_from_strength(disparity_px: FloatMap, focus_disparity_px: float, *, strength_px: float) -> float:
+    """Blur per px of disparity that gives the pixels farthest from the focus a wanted radius.
+
+    Args:
+        disparity_px: (H, W) float32, px; the nearest and the farthest 0.5 % are taken for mistakes.
+        focus_disparity_px: the disparity that stays sharp, px.
+        strength_px: radius of the circle of confusion where ``|d - d_focus|`` is largest, px.
+
+    Returns:
+        px of radius per px of disparity; 0 where everything is in focus.
+
+    Raises:
+        UsageError: the strength is negative or no number.
+    """
+    if not (math.isfinite(strength_px) and strength_px >= 0):
+        raise UsageError(f"bokeh strength {strength_px} px: expected a radius of 0 px or more")
+    known_px = disparity_px[np.isfinite(disparity_px)]
+    if len(known_px) == 0:
+        raise InputError("the disparity map holds no known value")
+    ends_px = np.percentile(known_px, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT))
+    span_px = float(np.abs(ends_px - focus_disparity_px).max())
+    return strength_px / span_px if span_px > 0 else 0.0
+
+
+def radius_per_px_from_f_number(*, f_number: float, baseline_m: float, equiv_focal_mm: float = 50.0) -> float:
+    """Blur per px of disparity of a real aperture: ``r = A / (2 B)`` with ``A = f_equiv / N``.
+
+    The thin lens gives a diameter ``f A |1/z - 1/z_focus|`` and stereo a disparity ``f B / z``, so the focal length of
+    the photo cancels.
+
+    Args:
+        f_number: of the imitated lens.
+        baseline_m: distance of the two lenses, m.
+        equiv_focal_mm: focal length of the imitated lens on 35 mm film, mm.
+
+    Raises:
+        UsageError: one of them is not a positive number.
+    """
+    for name, value in (("f-number", f_number), ("baseline", baseline_m), ("focal length", equiv_focal_mm)):
+        if not (math.isfinite(value) and value > 0):
+            raise UsageError(f"{name} {value}: expected a number above 0")
+    aperture_m = equiv_focal_mm / 1000 / f_number
+    return aperture_m / (2 * baseline_m)

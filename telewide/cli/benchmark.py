@@ -1,0 +1,173 @@
+"""``telewide benchmark``: numbers to compare by. A Markdown table on standard output, the same as JSON on request."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from telewide.cli.console import DeviceOption, RigOption, check_device, console_observer
+from telewide.errors import UsageError
+
+if TYPE_CHECKING:
+    from telewide.benchmark.report import BenchmarkReport
+
+benchmark_app = typer.Typer(
+    help="Measure speed, memory and errors of every matcher, side by side.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
+
+JsonFileOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the numbers, the machine and the versions to FILE.")
+]
+RunOption = Annotated[
+    list[Path] | None,
+    typer.Option("--run", metavar="RUN|FILE", help="Run folder (all its stages) or weights file; may be repeated."),
+]
+
+
+@benchmark_app.command(epilog="Example: `telewide benchmark speed --json speed.json`")
+def speed(
+    *,
+    matcher: Annotated[
+        list[str] | None, typer.Option(help="sgm or a network by name; may be repeated. [default: all]")
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="Timed turns of each.")] = 7,
+    warm_up: Annotated[int, typer.Option(help="Turns before them that do not count.")] = 2,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Time a training step and an inference, and measure peak memory, with and without bf16."""
+    from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
+
+    check_device(device)
+    options = SpeedOptions(matchers=tuple(matcher or ()), device=device, repeats=repeats, warm_up=warm_up)
+    report = measure_speed(options, tell=_tell)
+    _hand_over(report, speed_table(report), json_file)
+
+
+@benchmark_app.command(
+    epilog="Example: `telewide benchmark middlebury third-size/ --factor 4 --run run --split validation`"
+)
+def middlebury(
+    data_root: Annotated[Path, typer.Argument(help="Folder of the third-size Middlebury 2006 scenes.")],
+    *,
+    factor: Annotated[float, typer.Option(min=1, help="How many times fewer pixels the soft view has a side.")] = 4.0,
+    run: RunOption = None,
+    split: Annotated[str, typer.Option(metavar="training|validation|test", help="Which scenes.")] = "validation",
+    captures: Annotated[
+        Path | None, typer.Option(help="Keep the pairs in this folder. [default: a temporary one]")
+    ] = None,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Measure errors against known disparity, the second view made soft."""
+    from telewide.benchmark.contenders import all_contenders
+    from telewide.benchmark.middlebury import SPLITS, benchmark_middlebury, middlebury_table
+
+    check_device(device)
+    if split not in SPLITS:
+        raise UsageError(f"--split {split}: expected {', '.join(SPLITS)}")
+    contenders = all_contenders(run or (), device=device)
+    with _folder_or_temporary(captures) as folder:
+        report = benchmark_middlebury(
+            data_root, contenders, scenes=SPLITS[split], factor=factor, captures=folder, tell=_tell
+        )
+    _hand_over(report, middlebury_table(report), json_file)
+
+
+@benchmark_app.command(epilog="Example: `telewide benchmark matches captures/ --run run --uncorrected`")
+def matches(
+    captures: Annotated[Path, typer.Argument(help="Folder of the captures.")],
+    *,
+    run: RunOption = None,
+    uncorrected: Annotated[
+        bool, typer.Option("--uncorrected", help="Also judge sgm on the pairs without correction.")
+    ] = False,
+    rig: RigOption = None,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Count the held-out matches that each matcher misses on your captures; the first run's pairs are used."""
+    from telewide.benchmark.contenders import all_contenders, semiglobal_contender
+    from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
+    from telewide.capture.rundir import RunFolder
+    from telewide.pipeline import recipe_of_depth
+
+    check_device(device)
+    sources = run or []
+    entrants = [Entrant(contender) for contender in all_contenders(sources, device=device)]
+    if uncorrected:
+        entrants.insert(1, Entrant(semiglobal_contender(), is_corrected=False))
+    folders = [_run_of(source) for source in sources]
+    with_pairs = (folder for folder in folders if RunFolder(folder).pairs.is_dir())
+    with _folder_or_temporary(next(with_pairs, None)) as pairs_run:
+        report = benchmark_matches(
+            captures,
+            entrants,
+            run=RunFolder(pairs_run),
+            recipe=recipe_of_depth(pairs_run, captures),
+            tell=_tell,
+            trained_runs=[RunFolder(folder) for folder in dict.fromkeys(folders)],
+            rig=rig,
+        )
+    _hand_over(report, matches_table(report), json_file)
+
+
+@benchmark_app.command(epilog="Example: `telewide benchmark metres --run run --json metres.json`")
+def metres(
+    *,
+    run: RunOption = None,
+    captures: Annotated[int, typer.Option(help="Still lifes of each kind; three hold every distance.")] = 3,
+    boards: Annotated[int, typer.Option(help="Shots of the board.")] = 14,
+    width: Annotated[int, typer.Option(help="Of all photos, px.")] = 720,
+    seed: Annotated[int, typer.Option(help="Same seed, same photos.")] = 0,
+    keep: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Keep photos, rigs and depths. [default: a temporary one]")
+    ] = None,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Measure depth in metres from simulated photos, the wide lens still and moving, with and without a cast."""
+    from telewide.benchmark.metres import MetresOptions, benchmark_metres, depth_makers, metres_table
+
+    check_device(device)
+    options = MetresOptions(captures=captures, boards=boards, width=width, seed=seed, device=device)
+    makers = depth_makers(run or ())
+    with console_observer(shows_table=False) as observer, _folder_or_temporary(keep) as folder:
+        report = benchmark_metres(folder, makers, options, observer=observer)
+    _hand_over(report, metres_table(report), json_file)
+
+
+def _run_of(source: Path) -> Path:
+    """The run folder itself, or the one a weights file lies in."""
+    return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source
+
+
+@contextmanager
+def _folder_or_temporary(folder: Path | None) -> Iterator[Path]:
+    if folder is not None:
+        yield folder
+        return
+    with tempfile.TemporaryDirectory(prefix="telewide-") as temporary:
+        yield Path(temporary)
+
+
+def _tell(message: str) -> None:
+    typer.echo(message, err=True)
+
+
+def _hand_over(report: BenchmarkReport, table: str, json_file: Path | None) -> None:
+    from telewide.benchmark.report import write_report_json
+
+    typer.echo(table)
+    for note in report.notes:
+        _tell(f"note: {note}")
+    if json_file is not None:
+        write_report_json(report, json_file)
+        _tell(f"wrote {json_file}")

@@ -1,0 +1,110 @@
+"""What the commands have in common at a console: options that are said alike, bars, and answers in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from telewide.errors import UsageError
+from telewide.json_text import json_text
+from telewide.training.processes import this_process
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from telewide.cli.progress import ConsoleObserver
+
+DEVICES = ("auto", "cpu", "cuda")
+DeviceOption = Annotated[str, typer.Option(metavar="|".join(DEVICES), help="Where to compute.")]
+RigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar that shows how far some work is; see :func:`bar`."""
+
+    _progress: Progress
+    _task: TaskID
+
+    def advance(self) -> None:
+        """One more is done."""
+        self._progress.advance(self._task)
+
+    def reach(self, done: int, total: int) -> None:
+        """So many of so many are done."""
+        self._progress.update(self._task, completed=done, total=total)
+
+
+def check_device(device: str) -> None:
+    """Refuse what is no device.
+
+    Args:
+        device: as given to ``--device``.
+
+    Raises:
+        UsageError: another word.
+    """
+    if device not in DEVICES:
+        raise UsageError(f"--device {device}: expected {', '.join(DEVICES[:-1])} or {DEVICES[-1]}")
+
+
+@contextmanager
+def console_observer(*, is_quiet: bool = False, shows_table: bool = True) -> Iterator[ConsoleObserver]:
+    """Tell on standard error what a pipeline does; of several processes one tells.
+
+    Args:
+        is_quiet: say nothing but problems.
+        shows_table: print the table of the captures.
+
+    Yields:
+        The observer.
+    """
+    from rich.console import Console
+
+    from telewide.cli.progress import ConsoleObserver
+
+    console = Console(stderr=True, quiet=not this_process().is_writer)
+    observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table)
+    try:
+        yield observer
+    finally:
+        observer.close()
+
+
+@contextmanager
+def bar(label: str, *, total: int | None = None, is_quiet: bool = False) -> Iterator[Bar]:
+    """Show a bar on a terminal, nothing elsewhere.
+
+    Args:
+        label: what is done.
+        total: how many there are; None where the work says so itself.
+        is_quiet: show nothing there either.
+
+    Yields:
+        The bar.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
+        yield Bar(progress, progress.add_task(label, total=total))
+
+
+def print_json(content: dict[str, object]) -> None:
+    """Print the one object of a command, however many processes worked on it.
+
+    Args:
+        content: plain data; see :func:`telewide.json_text.json_text`.
+    """
+    if this_process().is_writer:
+        typer.echo(json_text(content))

@@ -1,0 +1,293 @@
+"""Is this pair fit for depth, and what does it need? A look at one capture before anything is trained or matched.
+
+The report is measured on the two views, ref = tele and src = wide. Doubts are said in words; a pair is refused only
+where hard evidence speaks against it: what ``captures.yaml`` states, or more than 30 consistent matches.
+Convention: ``disparity_px = x_tele - x_wide``, ``vertical_px = y_tele - y_wide``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from telewide.correction.colour import (
+    ColourFit,
+    apply_colour,
+    colour_ratio,
+    fit_colour,
+    sample_colours,
+)
+from telewide.correction.rows import VerticalFit, apply_vertical, corrected_matches, fit_vertical
+from telewide.errors import InputError
+from telewide.points.bandwidth import estimate_asymmetry
+from telewide.points.matches import Matches, find_matches, split_matches
+from telewide.points.similarity import Overlap, find_overlap
+
+if TYPE_CHECKING:
+    from telewide.capture.facts import CaptureFacts
+    from telewide.capture.pair import RectifiedPair
+
+Verdict = Literal["good", "usable", "doubtful", "refused"]
+
+MIN_COMMON_MATCHES = 12
+"""Fewer consistent matches than this and the views may not show one scene."""
+MIN_EVIDENCE_MATCHES = 30
+"""More consistent matches than this are hard evidence."""
+MIN_GOOD_MATCHES = 50
+SWAPPED_BELOW = 0.8
+"""An asymmetry below this says that wide is the sharper view."""
+_FINER_STATED = 1.5
+_ROW_MISFIT_USABLE_PX = 3.0
+_ROW_MISFIT_DOUBTFUL_SHARE = 0.015
+_SCALE_TOLERANCE = 0.06
+_ROTATION_TOLERANCE_DEG = 3.0
+_EVEN_COLOUR = (0.5, 2.0)
+_VERDICTS: tuple[Verdict, ...] = ("good", "usable", "doubtful", "refused")
+
+
+@dataclass(frozen=True)
+class PairReport:
+    """What was measured on one pair.
+
+    Attributes:
+        name: name of the capture.
+        n_matches: consistent matches found.
+        vertical_offset_px: vertical misfit at the image's centre, px; NaN where it could not be fitted.
+        vertical_slope: its growth with the row, px per px; NaN likewise.
+        vertical_residual_px: median absolute vertical misfit as captured, px; NaN without matches.
+        asymmetry: how many times finer tele resolves the scene, measured; None where the views have no texture.
+        colour_ratio: mean of tele over mean of wide at the matches, R G B; NaN without matches.
+        disparity_p02_px: 2nd percentile of the matches' disparities; NaN without matches.
+        disparity_p98_px: 98th percentile likewise.
+        verdict: good; usable (something is corrected or scarce); doubtful (look at it); refused.
+        reasons: one sentence for every reason the verdict is not good.
+    """
+
+    name: str
+    n_matches: int
+    vertical_offset_px: float
+    vertical_slope: float
+    vertical_residual_px: float
+    asymmetry: float | None
+    colour_ratio: tuple[float, float, float]
+    disparity_p02_px: float
+    disparity_p98_px: float
+    verdict: Verdict
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CorrectedPair:
+    """A pair whose src agrees with ref in rows and colours.
+
+    Attributes:
+        pair: tele as it was, wide corrected.
+        vertical: the vertical fit that was applied.
+        colour: the colour fit that was applied.
+        matches_fit: the matches both were fitted to, in corrected coordinates.
+        matches_held_out: matches that no fit has seen, in corrected coordinates: the judge.
+    """
+
+    pair: RectifiedPair
+    vertical: VerticalFit
+    colour: ColourFit
+    matches_fit: Matches
+    matches_held_out: Matches
+
+
+@dataclass(frozen=True)
+class _Finding:
+    verdict: Verdict
+    reason: str
+
+
+def inspect_pair(
+    pair: RectifiedPair,
+    *,
+    facts: CaptureFacts,
+    matches: Matches | None = None,
+    focal_lengths_mm: tuple[float | None, float | None] = (None, None),
+) -> PairReport:
+    """Measure a pair and judge it.
+
+    Args:
+        pair: the two views, of one size.
+        facts: what the owner states about the captures.
+        matches: matches already found on this pair; None finds them.
+        focal_lengths_mm: of the lenses of tele and wide as EXIF states them, where it does.
+
+    Returns:
+        The report; it never raises for a bad pair, it says what is wrong.
+    """
+    found = find_matches(pair.tele, pair.wide) if matches is None else matches
+    vertical = fit_vertical(found, hw=_hw(pair))
+    asymmetry = estimate_asymmetry(pair.tele, pair.wide)
+    overlap = None if len(found) > MIN_EVIDENCE_MATCHES else find_overlap(pair.tele, pair.wide)
+    ratio = colour_ratio(*sample_colours(pair.tele, pair.wide, found))
+    findings = [
+        *_findings_of_scene(found, overlap),
+        *_findings_of_rows(vertical, overlap, facts, height=pair.tele.shape[0]),
+        *_findings_of_sharpness(asymmetry, facts, focal_lengths_mm),
+        *_findings_of_colour(ratio),
+    ]
+    nan = float("nan")
+    p02_px, p98_px = np.percentile(found.disparity_px, (2, 98)) if len(found) else (nan, nan)
+    return PairReport(
+        name=pair.name,
+        n_matches=len(found),
+        vertical_offset_px=vertical.offset_px if vertical.is_fitted else nan,
+        vertical_slope=vertical.slope_y if vertical.is_fitted else nan,
+        vertical_residual_px=vertical.residual_before_px,
+        asymmetry=asymmetry,
+        colour_ratio=ratio,
+        disparity_p02_px=float(p02_px),
+        disparity_p98_px=float(p98_px),
+        verdict=max((f.verdict for f in findings), key=_VERDICTS.index, default="good"),
+        reasons=tuple(f.reason for f in findings),
+    )
+
+
+def correct_pair(
+    pair: RectifiedPair,
+    *,
+    matches: Matches | None = None,
+    seed: int = 0,
+    has_vertical: bool = True,
+    has_colour: bool = True,
+) -> CorrectedPair:
+    """Bring wide's rows and colours to tele's, fitted to half of the matches.
+
+    Args:
+        pair: the two views, of one size.
+        matches: matches already found on this pair; None finds them.
+        seed: seed of the split into matches to fit to and held-out ones.
+        has_vertical: correct the rows.
+        has_colour: correct the colours.
+
+    Returns:
+        The corrected pair, the fits and both halves of the matches; the split does not depend on what is corrected.
+    """
+    found = find_matches(pair.tele, pair.wide) if matches is None else matches
+    fit_half, held_out = split_matches(found, seed=seed)
+    vertical = fit_vertical(fit_half if has_vertical else fit_half.select(np.arange(0)), hw=_hw(pair))
+    fit_half, held_out = corrected_matches(fit_half, vertical), corrected_matches(held_out, vertical)
+    wide = apply_vertical(pair.wide, vertical)
+    colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)), held_out=held_out)
+    corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour))
+    return CorrectedPair(corrected, vertical, colour, fit_half, held_out)
+
+
+def disparity_window(
+    reports: Sequence[PairReport], *, step_px: int = 4, margin_share: float = 0.2, min_width_px: int = 32
+) -> tuple[int, int]:
+    """Choose the disparities to search, from all pairs of one set.
+
+    Args:
+        reports: reports of the pairs; refused ones and those with few matches have no say.
+        step_px: both ends are multiples of this, px.
+        margin_share: added at either end, as a share of the range measured, and at least one step.
+        min_width_px: least width of the window, px.
+
+    Returns:
+        ``(d_min, d_max)``, px of the reference view, d_max exclusive; either may be negative.
+
+    Raises:
+        InputError: no pair has enough matches.
+    """
+    telling = [r for r in reports if r.verdict != "refused" and r.n_matches >= MIN_COMMON_MATCHES]
+    if not telling:
+        raise InputError(
+            f"none of the {len(reports)} pairs has {MIN_COMMON_MATCHES} consistent matches to tell a window from",
+            hint="state the window yourself, or look at the pairs' reports",
+        )
+    low_px = min(r.disparity_p02_px for r in telling)
+    high_px = max(r.disparity_p98_px for r in telling)
+    margin_px = max(step_px, margin_share * (high_px - low_px))
+    d_min = step_px * int(np.floor((low_px - margin_px) / step_px))
+    d_max = step_px * int(np.ceil((high_px + margin_px) / step_px))
+    while d_max - d_min < min_width_px:
+        # near things, the larger disparities, are the ones matches miss
+        d_max += step_px
+        if d_max - d_min < min_width_px:
+            d_min -= step_px
+    return d_min, d_max
+
+
+def _hw(pair: RectifiedPair) -> tuple[int, int]:
+    return pair.tele.shape[0], pair.tele.shape[1]
+
+
+def _findings_of_scene(matches: Matches, overlap: Overlap | None) -> list[_Finding]:
+    """Whether the views show one scene, with texture enough to judge them."""
+    if len(matches) >= MIN_GOOD_MATCHES:
+        return []
+    if len(matches) >= MIN_COMMON_MATCHES:
+        return [_Finding("usable", f"only {len(matches)} consistent matches: little to correct and judge by")]
+    if overlap is not None and overlap.n > MIN_EVIDENCE_MATCHES:
+        return []  # one scene, seen otherwise: the rows or the scale are to blame
+    return [_Finding("doubtful", f"{len(matches)} consistent matches: no common scene, or one without texture")]
+
+
+def _findings_of_rows(
+    vertical: VerticalFit, overlap: Overlap | None, facts: CaptureFacts, *, height: int
+) -> list[_Finding]:
+    """Whether the rows of the two views agree."""
+    findings = []
+    if overlap is not None and overlap.n > MIN_EVIDENCE_MATCHES:
+        findings = _findings_of_overlap(overlap, height=height)
+    misfit_px = vertical.largest_misfit_px
+    if not findings and misfit_px > _ROW_MISFIT_DOUBTFUL_SHARE * height:
+        findings.append(
+            _Finding("doubtful", f"rows disagree by up to {misfit_px:.1f} px: the pair does not look rectified")
+        )
+    elif not findings and misfit_px > _ROW_MISFIT_USABLE_PX:
+        findings.append(_Finding("usable", f"rows disagree by up to {misfit_px:.1f} px, which is corrected"))
+    if facts.rectified is False and vertical.n <= MIN_EVIDENCE_MATCHES:
+        findings.append(_Finding("refused", "captures.yaml states that the pair is not rectified"))
+    return findings
+
+
+def _findings_of_overlap(overlap: Overlap, *, height: int) -> list[_Finding]:
+    """What a free similarity between the views says against a rectified pair."""
+    seen = f"{overlap.n} matches show"
+    if abs(overlap.rotation_deg) > _ROTATION_TOLERANCE_DEG:
+        return [_Finding("refused", f"{seen} one view turned by {overlap.rotation_deg:.0f} deg against the other")]
+    if overlap.scale > 1 + _SCALE_TOLERANCE:
+        text = f"{seen} the scene {overlap.scale:.2f} times larger in wide than in tele: the views are swapped"
+        return [_Finding("refused", text)]
+    if overlap.scale < 1 - _SCALE_TOLERANCE:
+        text = f"{seen} the scene {1 / overlap.scale:.2f} times larger in tele: wide is not cropped to it"
+        return [_Finding("refused", text)]
+    if abs(overlap.vertical_px) > 2 * _ROW_MISFIT_DOUBTFUL_SHARE * height:
+        return [_Finding("refused", f"{seen} rows {overlap.vertical_px:.0f} px apart: the pair is not rectified")]
+    return []
+
+
+def _findings_of_sharpness(
+    asymmetry: float | None, facts: CaptureFacts, focal_lengths_mm: tuple[float | None, float | None]
+) -> list[_Finding]:
+    """Whether tele is the sharper view, as its name says."""
+    if asymmetry is None:
+        return [_Finding("doubtful", "one view has no texture at all")]
+    stated = facts.asymmetry
+    if asymmetry < SWAPPED_BELOW:
+        text = f"wide is {1 / asymmetry:.1f} times sharper than tele: the views look swapped, or tele is out of focus"
+        if stated is not None and stated >= _FINER_STATED:
+            return [_Finding("refused", f"{text}; captures.yaml states tele to be {stated:g} times finer")]
+        tele_mm, wide_mm = focal_lengths_mm
+        if tele_mm is not None and wide_mm is not None and tele_mm < wide_mm:
+            return [_Finding("refused", f"{text}; EXIF names {tele_mm:g} mm for tele and {wide_mm:g} mm for wide")]
+        return [_Finding("doubtful", text)]
+    if stated is not None and not 0.5 < asymmetry / stated < 2.0:
+        return [_Finding("usable", f"captures.yaml states an asymmetry of {stated:g}, measured is {asymmetry:.1f}")]
+    return []
+
+
+def _findings_of_colour(ratio: tuple[float, float, float]) -> list[_Finding]:
+    if all(not _EVEN_COLOUR[0] <= r <= _EVEN_COLOUR[1] for r in ratio if np.isfinite(r)) and np.isfinite(ratio[0]):
+        return [_Finding("usable", "the views differ in brightness more than twofold")]
+    return []

@@ -1,0 +1,117 @@
+"""What a capture's metres are worth, in words: how far away something is, how sure that is, and what pinned it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from telewide.depth.pin import DistancePin, KnownDistance, pin_distance, pin_scale, weigh_pin
+from telewide.depth.precision import DepthPrecision, depth_std_m
+from telewide.depth.result import DepthResult
+from telewide.geometry.rectification import RectifiedGeometry
+from telewide.geometry.stereo import FloatMap
+
+HARDLY_KNOWN_SHARE = 0.5
+"""A depth whose standard deviation is a larger share of it is hardly known."""
+
+
+@dataclass(frozen=True)
+class PinnedShot:
+    """A shot as a known distance leaves it.
+
+    Attributes:
+        geometry: with the zero of disparity, or the baseline, that makes the distance true.
+        precision: likewise.
+        notes: one sentence on what changed.
+    """
+
+    geometry: RectifiedGeometry
+    precision: DepthPrecision
+    notes: tuple[str, ...] = ()
+
+
+def pinned_shot(
+    name: str,
+    disparity_px: FloatMap,
+    known: KnownDistance | None,
+    *,
+    geometry: RectifiedGeometry,
+    precision: DepthPrecision,
+) -> PinnedShot:
+    """Pin a shot's zero of disparity, or its scale where the rig knows none, to a known distance, and say what it did.
+
+    Args:
+        name: of the capture.
+        disparity_px: (H, W) of the rectified ref, NaN where unknown.
+        known: the point; None leaves the shot as it is.
+        geometry: of the pair, as the rig has it.
+        precision: likewise.
+
+    Raises:
+        InputError: the point is not in the photo, its disparity is unknown, or it pins nothing.
+    """
+    if known is None:
+        return PinnedShot(geometry, precision)
+    place = f"x {known.x_px:.0f}, y {known.y_px:.0f}"
+    source = "EXIF's distance of the focus" if known.is_focus else "as stated"
+    taken = f"{name}: {place} is taken to be {known.distance_m:.2f} m away, {source}"
+    shift_px = precision.lens_shift_std_px * geometry.scale
+    if not geometry.rig.is_scale_known:
+        scale = pin_scale(disparity_px, known, geometry=geometry, lens_shift_std_px=shift_px)
+        told = f"{taken}; the rig alone knew no metres, so its lenses are {scale.baseline_m * 1e3:.2f} mm apart"
+        return PinnedShot(
+            replace(geometry, rig=geometry.rig.with_baseline(scale.baseline_m)),
+            replace(precision, baseline_std_m=scale.std_m),
+            (f"{told} (± {scale.std_m * 1e3:.2g} mm)",),
+        )
+    alone = pin_distance(disparity_px, known, geometry=geometry)
+    pin = weigh_pin(alone, geometry=geometry, lens_shift_std_px=shift_px)
+    by_rig = _rig_words(alone, known, geometry=geometry, precision=precision)
+    moved = f"the zero of disparity moved by {pin.correction_px / geometry.scale:+.1f} px of the tele photo"
+    return PinnedShot(
+        replace(geometry, doffs_px=pin.doffs_px),
+        replace(precision, lens_shift_std_px=pin.std_px / geometry.scale),
+        (f"{taken}; the rig alone said {by_rig}; {moved}",),
+    )
+
+
+def hardly_known_notes(result: DepthResult) -> tuple[str, ...]:
+    """Say where most of a capture's depths are hardly known, and what would help; empty where they are known."""
+    if result.depth_m is None or result.depth_std_m is None:
+        return ()
+    share = (result.depth_std_m / result.depth_m)[np.isfinite(result.depth_m)]
+    if not len(share) or not float(np.median(share)) > HARDLY_KNOWN_SHARE:
+        return ()
+    return (
+        f"{result.name}: its depth in metres is hardly known: one standard deviation is {np.median(share):.0%} of the "
+        "depth (median); a measured point (--distance X,Y,M) or a rig from photos of a board would tell more",
+    )
+
+
+def away_words(depth_m: float, std_m: float | None) -> str:
+    """Say how far away something is, with one standard deviation where it is known: "0.79 ± 0.05 m away"."""
+    if std_m is not None and not std_m <= HARDLY_KNOWN_SHARE * depth_m:
+        return "at a distance the rig hardly knows; --distance X,Y,M would tell"
+    return f"{_metres(depth_m, std_m)} away"
+
+
+def _rig_words(
+    alone: DistancePin, known: KnownDistance, *, geometry: RectifiedGeometry, precision: DepthPrecision
+) -> str:
+    """What the rig said of the point: "0.30 ± 0.19 m"."""
+    if alone.seen_px <= 0:
+        return "that it is beyond infinity"
+    distance_m = known.distance_m * (alone.seen_px + alone.correction_px) / alone.seen_px
+    std_m = depth_std_m(
+        np.full((1, 1), distance_m, np.float32),
+        np.full((1, 1), alone.seen_std_px / geometry.scale, np.float32),
+        f_px=geometry.rig.tele.f_px,
+        baseline_m=geometry.rig.baseline_m,
+        precision=precision,
+    )
+    return _metres(distance_m, float(std_m[0, 0]))
+
+
+def _metres(depth_m: float, std_m: float | None) -> str:
+    return f"{depth_m:.2f} m" if std_m is None else f"{depth_m:.2f} ± {std_m:.2g} m"

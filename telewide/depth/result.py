@@ -1,0 +1,129 @@
+"""What is known of one capture once its disparity is: the map, the camera and, where the scale is known, metres.
+
+``depth_m = f_px * baseline_m / (disparity_px + doffs_px)``, z along ref's optical axis, on the photo as it was given.
+Nothing is invented: without a focal length there is no K, without a baseline no depth in metres.
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.capture.facts import CaptureFacts
+from telewide.depth.precision import DepthPrecision, depth_std_m, disparity_std_px
+from telewide.geometry.rig import StereoRig
+from telewide.geometry.stereo import DisparityMap, FloatMap, depth_from_disparity
+
+FloatMatrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DepthResult:
+    """The answer for one capture.
+
+    Attributes:
+        name: of the capture.
+        disparity: px of the ref photo, with its confidence and what was measured.
+        K: (3, 3) float64 intrinsics of the ref photo, px; None where the focal length is not known.
+        baseline_m: distance of the two lenses, m; None where not known.
+        depth_m: (H, W) float32, m, NaN where unknown; None where K or the baseline is not known.
+        depth_std_m: (H, W) float32, m, standard deviation of the depth, NaN where unknown; None without a rig.
+        distortion: (n,) OpenCV coefficients of the ref photo; None where not known, empty where there is none.
+        doffs_px: ``cx_src - cx_ref``, px.
+        rotated_deg: how far the photos were turned counter-clockwise before they were given (multiple of 90).
+            Files keep that orientation, pictures for people are shown upright.
+    """
+
+    name: str
+    disparity: DisparityMap
+    K: FloatMatrix | None = None
+    baseline_m: float | None = None
+    depth_m: FloatMap | None = None
+    depth_std_m: FloatMap | None = None
+    distortion: FloatMatrix | None = None
+    doffs_px: float = 0.0
+    rotated_deg: int = 0
+
+
+def depth_result(name: str, disparity: DisparityMap, *, facts: CaptureFacts | None = None) -> DepthResult:
+    """Put a disparity map together with what is known of the cameras.
+
+    The principal point is taken at the centre of the photo, ``((W - 1) / 2, (H - 1) / 2)``: the facts do not state it.
+
+    Args:
+        name: of the capture.
+        disparity: (H, W) maps, px of the ref photo.
+        facts: what ``captures.yaml`` states: focal length in px of the ref photo, baseline in m, doffs in px.
+
+    Returns:
+        The result; metric only where focal length and baseline are both known.
+    """
+    if facts is None:
+        return DepthResult(name=name, disparity=disparity)
+    doffs_px = facts.doffs_px or 0.0
+    depth_m = None
+    if facts.f_px is not None and facts.baseline_m is not None:
+        depth_m = depth_from_disparity(
+            disparity.disparity_px, f_px=facts.f_px, baseline_m=facts.baseline_m, doffs_px=doffs_px
+        )
+    return DepthResult(
+        name=name,
+        disparity=disparity if depth_m is None else _in_front(disparity, depth_m),
+        K=None if facts.f_px is None else _centred_intrinsics(facts.f_px, hw=disparity.disparity_px.shape),
+        baseline_m=facts.baseline_m,
+        depth_m=depth_m,
+        doffs_px=doffs_px,
+        rotated_deg=facts.rotated_deg,
+    )
+
+
+def depth_result_of_rig(
+    name: str,
+    disparity: DisparityMap,
+    *,
+    rig: StereoRig,
+    precision: DepthPrecision | None = None,
+    matched_scale: float = 1.0,
+) -> DepthResult:
+    """Put a disparity map on the tele photo together with the rig it was rectified by.
+
+    ``depth_m = K[0, 0] baseline_m / disparity_px`` along tele's optical axis; its standard deviation by
+    `telewide.depth.precision`.
+
+    Args:
+        name: of the capture.
+        disparity: (H, W) maps on the tele photo, as `telewide.depth.unrectify.disparity_on_tele` brings them.
+        rig: the two cameras, tele at the size of the map.
+        precision: what all depths of the shot share; None for an exact rig that nothing moved.
+        matched_scale: px of the views that were matched for one px of the tele photo (`RectifiedGeometry.scale`).
+
+    Returns:
+        The result; metric only where the rig's scale is known.
+    """
+    f_px = float(rig.tele.K[0, 0])
+    result = DepthResult(name=name, disparity=disparity, K=rig.tele.K, distortion=rig.tele.distortion)
+    if not rig.is_scale_known:
+        return result
+    depth_m = depth_from_disparity(disparity.disparity_px, f_px=f_px, baseline_m=rig.baseline_m)
+    std_m = depth_std_m(
+        depth_m,
+        disparity_std_px(disparity, scale=matched_scale),
+        f_px=f_px,
+        baseline_m=rig.baseline_m,
+        precision=precision or DepthPrecision(),
+    )
+    in_front = _in_front(disparity, depth_m)
+    return replace(result, disparity=in_front, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
+
+
+def _in_front(disparity: DisparityMap, depth_m: FloatMap) -> DisparityMap:
+    """What seems to lie beyond infinity was mismatched, or the lens had shifted: it was not measured."""
+    return replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
+
+
+def _centred_intrinsics(f_px: float, *, hw: tuple[int, ...]) -> FloatMatrix:
+    cx, cy = (hw[1] - 1) / 2, (hw[0] - 1) / 2
+    return np.array([[f_px, 0.0, cx], [0.0, f_px, cy], [0.0, 0.0, 1.0]])

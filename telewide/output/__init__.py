@@ -1,1 +1,0 @@
-"""What the user came for: depth files, pictures, bokeh, the report."""

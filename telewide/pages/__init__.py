@@ -1,0 +1,1 @@
+"""Pages for people: reports of runs and rigs, charts, contact sheets."""

@@ -1,0 +1,251 @@
+"""The figures of a calibration's report: coverage, residuals, photos, cross-validation, epipolar and depth error.
+
+Each is one or more figure elements whose captions say what good looks like, or an empty string where there is nothing
+to draw.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.result import Calibration, Lens, ViewResult
+from telewide.geometry.rig import Camera, StereoRig
+from telewide.pages.charts import (
+    Axis,
+    Bar,
+    Line,
+    arrow_chart,
+    axis_over,
+    bar_list,
+    coverage_chart,
+    dot_chart,
+    heat_chart,
+    line_chart,
+)
+from telewide.pages.depth_table import MATCHING_STD_PX, ROWS_M, depth_error_words, depth_table_html
+from telewide.pages.rig_figures import (
+    camera_difference_px,
+    cell_counts,
+    depth_error_m,
+    tele_outline_px,
+    transfer_difference_px,
+)
+
+FloatArray = NDArray[np.float64]
+
+LENSES: tuple[Lens, ...] = ("tele", "wide")
+_LensFigure = Callable[[Calibration, Lens, Sequence[ViewResult]], str]
+_COVERAGE_CELLS = (6, 8)
+_ARROW_SHARE = 0.03  # the 95th percentile of the arrows is drawn so long, as a share of the photo's width
+_MEDIAN_OF_ABS_NORMAL = 0.6745
+
+
+def coverage_figures(calibration: Calibration) -> str:
+    """Where the corners lie in the photos of each lens."""
+    return _per_lens(calibration, _coverage_figure)
+
+
+def residual_figures(calibration: Calibration) -> str:
+    """What the rig does not explain, corner by corner, for each lens."""
+    return _per_lens(calibration, _residual_figure)
+
+
+def view_figures(calibration: Calibration) -> str:
+    """The error of each photo, the ones left out marked, for each lens."""
+    return _per_lens(calibration, _view_figure)
+
+
+def cross_validation_figures(calibration: Calibration) -> str:
+    """How differently the odd and the even photos place things: each lens alone, and from tele to wide."""
+    if calibration.half_rigs is None:
+        return ""
+    odd, even = calibration.half_rigs
+    distance_m = _joint_distance_m(calibration.views)
+    maps = (
+        ("tele alone", camera_difference_px(odd.tele, even.tele), odd.tele.hw, "px"),
+        ("wide alone", camera_difference_px(odd.wide, even.wide), odd.wide.hw, "px"),
+        (
+            f"from tele to wide, at {_distance(distance_m, calibration)}",
+            transfer_difference_px(odd, even, distance_m=distance_m),
+            odd.tele.hw,
+            "tele px",
+        ),
+    )
+    figures = []
+    for name, difference_px, hw, unit in maps:
+        caption = (
+            f"{name}: rigs solved from every second photo and from the others, {_rms(difference_px):.2f} {unit} "
+            f"apart (RMS), {np.nanmax(difference_px):.2f} at most. Good: little more than the noise of the corners, "
+            "where boards were held."
+        )
+        high = max(float(np.nanmax(difference_px)), 0.1)
+        values = difference_px.astype(np.float32)
+        figures.append(heat_chart(values, hw=hw, value_range=(0.0, high), unit="px", caption=caption))
+    return "".join(figures)
+
+
+def epipolar_figure(quality: CalibrationQuality) -> str:
+    """Row errors in photos that the rig was solved without."""
+    if not math.isfinite(quality.epipolar_p90_px):
+        return "<p>Too few photos of both lenses at once to hold any out.</p>"
+    return epipolar_bars(
+        quality,
+        caption="How far corners lie from the line that the other photo says they are on, in photos that the rig was "
+        "solved without. This is the row error that stereo matching will meet.",
+    )
+
+
+def epipolar_bars(quality: CalibrationQuality, *, caption: str) -> str:
+    """The held-out row errors of a rig, with the limit for 90 % of them where one is set."""
+    bars = [
+        Bar("median", quality.epipolar_p50_px),
+        Bar("90 % are below", quality.epipolar_p90_px),
+        Bar("99 % are below", quality.epipolar_p99_px),
+    ]
+    limit = epipolar_limit_px(quality)
+    dashed = "" if limit is None else " Dashed: limit for 90 %."
+    return bar_list(bars, unit="tele px", caption=caption + dashed, limit=limit)
+
+
+def epipolar_limit_px(quality: CalibrationQuality) -> float | None:
+    """What 90 % of the held-out row errors are to stay below, tele px; None where no check says."""
+    return next((check.limit for check in quality.checks if "epipolar" in check.name), None)
+
+
+def depth_figure(calibration: Calibration) -> str:
+    """What errors of disparity cost at each distance, as a curve and a table."""
+    rig, quality = calibration.rig, calibration.quality
+    if not rig.is_scale_known:
+        return "<p>Without the size of the board there is no depth in metres.</p>"
+    own_px = _calibration_std_px(quality)
+    stds = [(f"matching to {MATCHING_STD_PX} px", math.hypot(MATCHING_STD_PX, own_px))]
+    if own_px > 0:
+        stds.append((f"this calibration alone ({own_px:.2f} px)", own_px))
+    depths_m = np.geomspace(0.25, 10.0, 60)
+    lines = [
+        Line(name, np.column_stack([depths_m, 100 * depth_error_m(depths_m, rig, disparity_std_px=std_px) / depths_m]))
+        for name, std_px in stds
+    ]
+    highest = float(lines[0].points[:, 1].max())
+    chart = line_chart(
+        lines,
+        x=Axis("distance, m", 0.25, 10.0, is_log=True),
+        y=axis_over([0.0, highest], label="error of depth, % of the distance"),
+        caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity. That of "
+        "the calibration is from the held-out epipolar error or the two halves of the photos, whichever is larger.",
+    )
+    columns = {name: [_depth_cell(depth_m, rig, std_px) for depth_m in ROWS_M] for name, std_px in stds}
+    table = depth_table_html(columns, distances=[f"{depth_m:g} m" for depth_m in ROWS_M])
+    baseline_share = calibration.transform_std.baseline_m / rig.baseline_m
+    note = f"The distance of the lenses, known to {baseline_share:.2%}, adds the same share at every distance."
+    return f'<div class="charts">{chart}<div class="scroll">{table}<p class="faint">{note}</p></div></div>'
+
+
+def pose_figure(views: Sequence[ViewResult]) -> str:
+    """Distance and tilt of the board in each photo."""
+    shown = [v for v in views if v.is_used and math.isfinite(v.tilt_deg) and math.isfinite(v.distance_m)]
+    if not shown:
+        return ""
+    groups = [
+        Line(lens, _stacked([np.array([[v.distance_m, v.tilt_deg]]) for v in shown if v.camera == lens]))
+        for lens in LENSES
+    ]
+    near_m, far_m = min(v.distance_m for v in shown), max(v.distance_m for v in shown)
+    caption = (
+        f"Each photo's board: {near_m:.2f} to {far_m:.2f} m away. Good: three distances or more, tilts of 30 to 45 "
+        "degrees in all directions; boards held straight say little."
+    )
+    x = axis_over([near_m, far_m], label="distance of the board, m")
+    y = Axis("tilt of the board, degrees", 0.0, max(60.0, *(v.tilt_deg for v in shown)))
+    return dot_chart(groups, x=x, y=y, caption=caption)
+
+
+def _per_lens(calibration: Calibration, figure: _LensFigure) -> str:
+    views = {lens: [view for view in calibration.views if view.camera == lens] for lens in LENSES}
+    return "".join(figure(calibration, lens, views[lens]) for lens in LENSES if views[lens])
+
+
+def _camera(calibration: Calibration, lens: Lens) -> Camera:
+    return calibration.rig.tele if lens == "tele" else calibration.rig.wide
+
+
+def _coverage_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+    camera = _camera(calibration, lens)
+    points_px = _stacked([view.points_px for view in views if view.is_used])
+    counts = cell_counts(points_px, hw=camera.hw, cells=_COVERAGE_CELLS)
+    caption = f"{lens}: {len(points_px)} corners in {sum(view.is_used for view in views)} photos. " + (
+        "Fill the empty cells, the corners of the frame above all."
+        if lens == "tele"
+        else "The outline is what tele sees: depth needs wide there."
+    )
+    outline_px = tele_outline_px(calibration.rig) if lens == "wide" else None
+    return coverage_chart(points_px, counts, hw=camera.hw, caption=caption, outline_px=outline_px)
+
+
+def _residual_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+    hw = _camera(calibration, lens).hw
+    points_px = _stacked([view.points_px for view in views if view.is_used])
+    residuals_px = _stacked([view.residuals_px for view in views if view.is_used])
+    lengths_px = np.linalg.norm(residuals_px, axis=1)
+    longest_px = float(np.quantile(lengths_px, 0.95)) if len(lengths_px) else 0.0
+    magnified = _rounded_down(_ARROW_SHARE * hw[1] / max(longest_px, 1e-6))
+    caption = (
+        f"{lens}: from each corner as reprojected to where it was found, {magnified:g} times enlarged. Good: arrows "
+        "point anywhere; a pattern, such as all outwards in the corners of the frame, means a lens model that is too "
+        "simple or a board that is not flat."
+    )
+    shown = np.minimum(1.0, 3 * longest_px / np.maximum(lengths_px, 1e-9))[:, None] * residuals_px
+    return arrow_chart(points_px - residuals_px, shown, hw=hw, magnified=magnified, caption=caption)
+
+
+def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+    bars = [Bar(view.shot, view.rms_px, is_out=not view.is_used) for view in views]
+    n_out = sum(bar.is_out for bar in bars)
+    caption = f"{lens}: RMS distance of corners and their reprojections in each photo, px; " + (
+        f"{n_out} left out (red), with the error they would have." if n_out else "none was left out."
+    )
+    return bar_list(bars, unit="px", caption=caption)
+
+
+def _calibration_std_px(quality: CalibrationQuality) -> float:
+    """What the calibration itself may be off by along a row, tele px; 0 where nothing says so.
+
+    The rig from all photos is half as uncertain as the difference of two from half of them each, of which one of two
+    directions is along the row.
+    """
+    estimates = (quality.epipolar_p50_px / _MEDIAN_OF_ABS_NORMAL, quality.cross_validation_px / (2 * math.sqrt(2)))
+    return max((estimate for estimate in estimates if math.isfinite(estimate)), default=0.0)
+
+
+def _depth_cell(depth_m: float, rig: StereoRig, std_px: float) -> str:
+    error_m = float(depth_error_m(np.array(depth_m), rig, disparity_std_px=std_px))
+    return depth_error_words(error_m, depth_m=depth_m)
+
+
+def _joint_distance_m(views: Sequence[ViewResult]) -> float:
+    """Median distance of the boards that both lenses saw, from tele."""
+    in_wide = {view.shot for view in views if view.camera == "wide" and view.is_used}
+    return float(np.median([v.distance_m for v in views if v.camera == "tele" and v.is_used and v.shot in in_wide]))
+
+
+def _stacked(arrays: Sequence[FloatArray]) -> FloatArray:
+    return np.concatenate(arrays).astype(np.float64) if arrays else np.zeros((0, 2))
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def _rounded_down(value: float) -> float:
+    """The next lower 1, 2 or 5 times a power of ten, at least 1."""
+    power = 10.0 ** math.floor(math.log10(max(value, 1.0)))
+    return max(factor * power for factor in (1, 2, 5) if factor * power <= max(value, 1.0))
+
+
+def _distance(depth_m: float, calibration: Calibration) -> str:
+    return f"{depth_m:.2f} m" if calibration.rig.is_scale_known else "the boards' distance"

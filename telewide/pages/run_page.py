@@ -1,0 +1,163 @@
+"""The report page of a run: pictures of every capture, its numbers, the course of the training, and what to do next."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from telewide.capture.images import read_image
+from telewide.capture.pair import PhotoPair
+from telewide.capture.rundir import RunFolder
+from telewide.command_line import command_line
+from telewide.depth.preview import disparity_panel, display_range_px
+from telewide.depth.result import DepthResult
+from telewide.drawing import upright
+from telewide.geometry.stereo import DisparityMap
+from telewide.pages.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
+from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from telewide.training.stages import plan_stages
+
+
+def report_row(
+    pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[str, float], rotated_deg: int = 0
+) -> ReportRow:
+    """The line of one capture: its photos, preview and bokeh, and its numbers.
+
+    Args:
+        pair: the two photos.
+        folder: where its depth was written.
+        root: folder of the report, which links lead from.
+        numbers: as the pipeline gives them.
+        rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the bokeh is read.
+    """
+    views = (("wide", pair.wide), ("tele", pair.tele))
+    pictures = [thumbnail(label, upright(photo, rotated_deg=rotated_deg)) for label, photo in views]
+    pictures.append(_disparity_picture(folder, root, rotated_deg=rotated_deg))
+    bokeh = folder / "bokeh.jpg"
+    if bokeh.is_file():
+        pictures.append(thumbnail("bokeh", read_image(bokeh), link=_link(bokeh, root)))
+    return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
+
+
+def write_page(
+    run: RunFolder, rows: Iterable[ReportRow], *, recipe: Recipe, captures: Path, rig: Path | None = None
+) -> Path:
+    """Write ``report.html`` of a run.
+
+    Args:
+        run: its folder.
+        rows: the captures.
+        recipe: it was trained with.
+        captures: folder of the captures, for the commands it names.
+        rig: rig file its user named, likewise; None where one is found without its name, or none is needed.
+
+    Returns:
+        Path of the page.
+    """
+    return write_report(
+        run.root / "report.html",
+        tuple(rows),
+        title="Depth and bokeh from a wide and a tele lens",
+        summary=recipe.description,
+        curves=training_curves(run.training_log),
+        next_steps=next_steps(run, recipe=recipe, captures=captures, rig=rig),
+        facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
+    )
+
+
+def next_steps(run: RunFolder, *, recipe: Recipe, captures: Path, rig: Path | None) -> tuple[NextStep, ...]:
+    """What to do after a run, each with a command that can be pasted into a shell.
+
+    Args:
+        run: its folder.
+        recipe: it was trained with; a longer training is advised where the default recipe has more steps.
+        captures: folder of the captures.
+        rig: rig file its user named, or None.
+    """
+    steps = []
+    if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
+        longer = command_line("run", captures, rig=rig, out=f"{run.root}-{DEFAULT_RECIPE}")
+        steps.append(NextStep("Train longer, for better depth:", longer))
+    near = command_line("depth", captures, run=run.root, rig=rig, bokeh=True, focus="near")
+    steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
+    own = command_line("run", "my-captures/")
+    steps.append(NextStep("Your own photos, once telewide calibrate has made a rig of your lenses:", own))
+    return tuple(steps)
+
+
+def training_curves(log: Path) -> tuple[Curve, ...]:
+    """Curves of the loss and of the judge, read from a training log; none where there is no log."""
+    if not log.is_file():
+        return ()
+    entries = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    starts = _stage_starts(entries)
+    marks = [(float(start), name) for name, start in starts.items()]
+
+    def curve(label: str, points: list[tuple[float, float]]) -> Curve:
+        return Curve(label, [x for x, _ in points], [y for _, y in points], marks)
+
+    losses = [(starts[e["stage"]] + e["step"], sum(e["losses"].values())) for e in entries if "losses" in e]
+    answers = [
+        (starts[e["stage"]] + e["step"], 100 * e["judgement"]["off_1px"])
+        for e in entries
+        if "judgement" in e and e["judgement"]["off_1px"] is not None
+    ]
+    named = (("loss", losses), ("held-out matches off by more than 1 px, %", answers))
+    return tuple(curve(label, points) for label, points in named if points)
+
+
+def _training_steps(recipe: Recipe) -> int:
+    return sum(stage.options.steps for stage in plan_stages(recipe.train))
+
+
+def _disparity_picture(folder: Path, root: Path, *, rotated_deg: int) -> Picture:
+    """The map alone, as large as the photos beside it; it leads to the preview with its scale."""
+    with np.load(folder / "depth.npz", allow_pickle=False) as arrays:
+        disparity = DisparityMap(arrays["disparity"], arrays["confidence"], arrays["valid"])
+    height, width = upright(disparity.disparity_px, rotated_deg=rotated_deg).shape
+    result = DepthResult(name=folder.name, disparity=disparity, rotated_deg=rotated_deg)
+    panel = disparity_panel(result, wh=(width, height))
+    low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)
+    label = f"disparity, {round(low_px)} to {round(high_px)} px; hatched: filled in"
+    return thumbnail(label, panel, link=_link(folder / "preview.png", root))
+
+
+def _stage_starts(entries: list[dict[str, object]]) -> dict[str, int]:
+    """First step of each stage, counted from the first stage's."""
+    starts: dict[str, int] = {}
+    begun, last = 0, 0
+    for entry in entries:
+        name, step = str(entry["stage"]), int(str(entry["step"]))
+        if name not in starts:
+            begun = begun + last if starts else 0
+            starts[name] = begun
+        last = step
+    return starts
+
+
+def _table_line(numbers: Mapping[str, float]) -> dict[str, float | None]:
+    headings = {
+        "off_1px": ("off by > 1 px, %", 100.0),
+        "off_3px": ("off by > 3 px, %", 100.0),
+        "matches": ("held-out matches", 1.0),
+        "3PE": ("3PE, %", 100.0),
+        "EPE_px": ("EPE, px", 1.0),
+        "match_s": ("matching, s", 1.0),
+    }
+    line: dict[str, float | None] = {
+        heading: numbers[name] * factor if math.isfinite(numbers[name]) else None
+        for name, (heading, factor) in headings.items()
+        if name in numbers
+    }
+    if "matches" in numbers:
+        line["held-out matches"] = int(numbers["matches"])
+    return line
+
+
+def _link(path: Path, root: Path) -> str | None:
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else None

@@ -1,0 +1,1 @@
+"""Points found in both photos of a pair: sparse, matched two ways, robustly fitted."""

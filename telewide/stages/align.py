@@ -1,0 +1,251 @@
+"""With a rig: from two photos as captured to a rectified pair, corrected for what moved in this shot.
+
+    photos ── match ── fit what moved ── rig of this shot ── rectify ── pair
+
+What was fitted is kept as plain numbers, so that results find back to the photo.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from telewide.assets import find_yaml
+from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
+from telewide.calibration.scene_quality import zero_std_px
+from telewide.capture.exif import least_seconds_between, read_photo_facts
+from telewide.capture.pair import Capture, CaptureSet, PhotoPair
+from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, factor_from_exif
+from telewide.correction.moving import MovedRegion, find_moving, moving_note
+from telewide.correction.rectify import Rectification, rectify_pair
+from telewide.correction.refinement import ShotRefinement, fit_shot, refined_rig
+from telewide.depth.precision import DepthPrecision, lens_shift_std_px
+from telewide.errors import UsageError
+from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
+from telewide.geometry.rig import StereoRig
+from telewide.points.photo_matches import find_photo_matches
+from telewide.points.scale import estimate_scale
+
+_log = logging.getLogger("telewide")
+
+
+@dataclass(frozen=True)
+class ShotFacts:
+    """What the two photos of a shot state about themselves.
+
+    Attributes:
+        seconds_between: between the exposures, at least; None where EXIF does not tell.
+        asymmetry: the asymmetric factor by EXIF; None likewise.
+    """
+
+    seconds_between: float | None = None
+    asymmetry: float | None = None
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How a rectified pair lies to the photos it was made from.
+
+    Attributes:
+        refinement: what moved in this shot.
+        moved: parts of the tele photo that moved between the two exposures.
+        asymmetry: the asymmetric factor from all that knows it.
+        geometry: of the rectified views; its rig is this shot's, for photos of its sizes.
+    """
+
+    refinement: ShotRefinement
+    moved: tuple[MovedRegion, ...]
+    asymmetry: AsymmetryEstimate
+    geometry: RectifiedGeometry
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One sentence for everything a person should know."""
+        moved = moving_note(self.moved)
+        return (*self.refinement.notes, *self.asymmetry.statements, *(() if moved is None else (moved,)))
+
+
+def align_photos(
+    photos: PhotoPair, *, rig: StereoRig, working_width_px: int | None, facts: ShotFacts, seed: int
+) -> tuple[Rectification, Alignment]:
+    """Correct a rig for one shot, and rectify the shot's photos with it.
+
+    Args:
+        photos: tele and wide as captured.
+        rig: as calibrated.
+        working_width_px: width of the rectified views at most; None for tele's resolution.
+        facts: what the photos state about themselves.
+        seed: of the split into matches to fit to and held-out ones.
+
+    Returns:
+        The rectified pair, and how it lies to the photos.
+
+    Raises:
+        InputError: the photos do not fit the rig, or it cannot be rectified.
+    """
+    as_calibrated = rig
+    rig = rig_at_sizes(rig, tele_hw=photos.tele.shape[:2], wide_hw=photos.wide.shape[:2])
+    matches = find_photo_matches(photos.tele, photos.wide, rig=rig)
+    refinement = fit_shot(matches, rig=rig, seconds_between=facts.seconds_between, seed=seed)
+    if rig.tele.hw != as_calibrated.tele.hw:
+        refinement = replace(refinement, notes=(*refinement.notes, _resized_note(rig, as_calibrated)))
+    rectified = rectify_pair(
+        photos.tele,
+        photos.wide,
+        rig=refined_rig(rig, refinement),
+        name=photos.name,
+        working_width_px=working_width_px,
+    )
+    moved = find_moving(matches, refinement, rig=rig)
+    of_matches = _factor_of_matches(photos, rig, refinement)
+    asymmetry = compare_factors(rig=rig.asymmetry, matches=of_matches, exif=facts.asymmetry)
+    return rectified, Alignment(refinement, moved, asymmetry, rectified.geometry)
+
+
+def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
+    """Find the rig that a set of captures is to be rectified with.
+
+    Args:
+        stated: the file its user named, or None.
+        captures: the set.
+
+    Returns:
+        The named rig; or ``rig.yaml`` (or ``rig.yml``) in the captures' folder, in one of the two above it, or in the
+        working folder; None where there is none, or where captures.yaml states that the captures are rectified.
+
+    Raises:
+        UsageError: the named file does not exist, or the captures are stated to be rectified.
+        InputError: it is no rig.
+    """
+    folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
+    lying = next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
+    if captures.facts.rectified:
+        if stated is not None:
+            raise UsageError(
+                f"--rig {stated}: captures.yaml of {captures.root} states that its captures are rectified",
+                hint="remove 'rectified: true' there, or leave --rig out",
+            )
+        if lying is not None:
+            _log.warning("%s is not used: captures.yaml states that the captures are rectified", lying)
+        return None
+    if stated is not None:
+        return read_rig(stated)
+    return None if lying is None else read_rig(lying)
+
+
+def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthPrecision:
+    """What all depths of a set are uncertain by: the rig's own deviations, and the lens's unseen shift.
+
+    A rig from scenes does not know where infinitely far things lie; that moves all disparities as the lens's shift
+    does, and a known distance takes out both.
+
+    Args:
+        alignments: of all shots, whose vertical offsets show how far the lens moves.
+        rig: the shots were rectified with.
+    """
+    tele = alignments[0].geometry.rig.tele
+    fits = [alignment.refinement for alignment in alignments]
+    # A shot whose pose was fitted has no offset of its own.
+    offsets_px = [fit.vertical_offset_px for fit in fits if fit.is_fitted and fit.is_at_once]
+    shift_px = lens_shift_std_px(offsets_px, width_px=max(tele.hw))
+    zero_px = zero_std_px(rig.quality) * tele.hw[1] / rig.rig.tele.hw[1]
+    return DepthPrecision(
+        baseline_std_m=0.0 if rig.transform_std is None else _known(rig.transform_std.baseline_m),
+        f_std_px=0.0 if rig.tele_std is None else _known(rig.tele_std.f_px) * tele.hw[1] / rig.rig.tele.hw[1],
+        lens_shift_std_px=math.hypot(shift_px, zero_px),
+    )
+
+
+def _known(value: float) -> float:
+    return value if math.isfinite(value) else 0.0
+
+
+def _resized_note(rig: StereoRig, as_calibrated: StereoRig) -> str:
+    (height, width), (rig_height, rig_width) = rig.tele.hw, as_calibrated.tele.hw
+    return (
+        f"tele is {width} x {height} px, the rig was made at {rig_width} x {rig_height} px: taken for the whole "
+        "photo at another size; if it was cropped, its depth is wrong"
+    )
+
+
+def _factor_of_matches(photos: PhotoPair, rig: StereoRig, refinement: ShotRefinement) -> float | None:
+    if refinement.is_fitted:
+        return rig.asymmetry / refinement.scale  # it corrects the rig's focal ratio by what the matches show
+    estimate = estimate_scale(photos.tele, photos.wide)
+    return None if estimate is None else estimate.factor
+
+
+def read_shot_facts(capture: Capture) -> ShotFacts:
+    """Read what the two photos of a capture state about themselves."""
+    tele, wide = (read_photo_facts(path) for path in (capture.tele_path, capture.wide_path))
+    return ShotFacts(
+        least_seconds_between(tele, wide),
+        factor_from_exif(tele_f35_mm=tele.f35_mm, wide_f35_mm=wide.f35_mm, tele_hw=tele.hw, wide_hw=wide.hw),
+    )
+
+
+def plain_rig(rig: StereoRig) -> dict[str, object]:
+    """A rig as plain data, to tell it from another."""
+    cameras = {"tele": rig.tele, "wide": rig.wide}
+    return {
+        "wide_from_tele": rig.wide_from_tele.tolist(),
+        "is_scale_known": rig.is_scale_known,
+        **{
+            name: {"hw": list(camera.hw), "K": camera.K.tolist(), "distortion": camera.distortion.tolist()}
+            for name, camera in cameras.items()
+        },
+    }
+
+
+def alignment_as_json(alignment: Alignment) -> str:
+    """What an alignment adds to its rig, as JSON; :func:`alignment_from_json` undoes it exactly."""
+    shot = alignment.refinement
+    direction = shot.translation_direction
+    arrays = {
+        "rotation_vector": shot.rotation_vector.tolist(),
+        "rotation_std_rad": shot.rotation_std_rad.tolist(),
+        "translation_direction": None if direction is None else direction.tolist(),
+    }
+    rig = alignment.geometry.rig
+    plain = {
+        "tele_hw": list(rig.tele.hw),
+        "wide_hw": list(rig.wide.hw),
+        "refinement": {**vars(shot), **arrays, "notes": list(shot.notes)},
+        "asymmetry": vars(alignment.asymmetry),
+        "moved": [{**vars(region), "outline_px": region.outline_px.tolist()} for region in alignment.moved],
+    }
+    return json.dumps(plain, indent=2) + "\n"
+
+
+def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | None) -> Alignment:
+    """Read what :func:`alignment_as_json` wrote.
+
+    Args:
+        text: as it was written.
+        rig: as calibrated, the one the alignment was made with.
+        working_width_px: the one it was made with.
+
+    Raises:
+        KeyError: a key is missing.
+        TypeError: a value is of another kind.
+        ValueError: likewise.
+    """
+    plain = json.loads(text)
+    shot = dict(plain["refinement"])
+    for name in ("rotation_vector", "rotation_std_rad", "translation_direction"):
+        shot[name] = None if shot[name] is None else np.asarray(shot[name], dtype=np.float64)
+    refinement = ShotRefinement(**{**shot, "notes": tuple(shot["notes"])})
+    moved = tuple(
+        MovedRegion(**{**region, "outline_px": np.asarray(region["outline_px"], dtype=np.float64)})
+        for region in plain["moved"]
+    )
+    asymmetry = AsymmetryEstimate(**{**plain["asymmetry"], "statements": tuple(plain["asymmetry"]["statements"])})
+    of_sizes = rig_at_sizes(rig, tele_hw=tuple(plain["tele_hw"]), wide_hw=tuple(plain["wide_hw"]))
+    geometry = rectified_geometry(refined_rig(of_sizes, refinement), working_width_px=working_width_px)
+    return Alignment(refinement, moved, asymmetry, geometry)

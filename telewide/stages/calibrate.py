@@ -1,0 +1,237 @@
+"""Board photos in, a rig and a page about it out.
+
+    boards/ ── find ── which board ── corners of every photo ── solve ── rig.yaml + rig_report.html
+
+Whoever calls hears of the progress through a :class:`CalibrationObserver`. A rig that is not good enough is written
+too, marked so; it is for the caller to refuse it.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Protocol
+
+from telewide.boards.board import Board, board_points_m, load_board, resized_board
+from telewide.boards.recognition import recognise_board
+from telewide.boards.shots import BoardShot, detect_shots, find_board_shots
+from telewide.calibration.exchanged_lenses import refuse_exchanged
+from telewide.calibration.result import Calibration
+from telewide.calibration.rig_file import RIG_FILE, RigFacts, write_rig
+from telewide.calibration.shot_facts import with_checked_facts
+from telewide.calibration.solver import calibrate_rig
+from telewide.capture.exif import common_pipeline, read_photo_facts
+from telewide.capture.images import read_image
+from telewide.correction.rectify import rectify_pair
+from telewide.counted import counted
+from telewide.errors import InputError, TelewideError
+from telewide.geometry.stereo import FloatMap
+from telewide.pages.report import NextStep
+from telewide.pages.rig_report import write_rig_report
+
+BOARDS_FOLDER = Path("boards")
+_PREVIEW_WIDTH_PX = 1000
+
+
+class CalibrationObserver(Protocol):
+    """Hears what a calibration does."""
+
+    def said(self, message: str) -> None:
+        """Something worth a line."""
+
+    def detecting(self, total: int) -> Callable[[], None]:
+        """The board is about to be looked for in ``total`` shots; the answer is called after each."""
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """What ``telewide calibrate`` was asked for.
+
+    Attributes:
+        board: name or file of the board; None looks for the known ones.
+        square_m: measured side of a square, m; None takes the board's nominal one.
+        out: the file to write; the report lies beside it.
+        seed: of the choice of photos that are held out.
+        processes: how many to work with; None takes one per core.
+    """
+
+    board: str | None = None
+    square_m: float | None = None
+    out: Path = RIG_FILE
+    seed: int = 0
+    processes: int | None = None
+
+
+@dataclass(frozen=True)
+class CalibrationRun:
+    """A calibration and where it was written.
+
+    Attributes:
+        calibration: the rig and all that is known about it.
+        rig: path of ``rig.yaml``.
+        report: path of the page about it.
+        facts: how it was made.
+        notes: what a person should know, one sentence each.
+    """
+
+    calibration: Calibration
+    rig: Path
+    report: Path
+    facts: RigFacts
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _ChosenBoard:
+    name: str
+    board: Board
+    is_measured: bool
+    notes: tuple[str, ...]
+
+
+def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: CalibrationObserver) -> CalibrationRun:
+    """Calibrate two lenses from photos of a board, and write the rig and its report.
+
+    Args:
+        boards: folder of the photos, in one of the layouts of `telewide.boards.shots`.
+        options: board, size, output.
+        observer: hears of it.
+
+    Returns:
+        The calibration, of any verdict, with the files written.
+
+    Raises:
+        UsageError: no such folder or board, or a size no board has.
+        InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
+    """
+    shots = with_checked_facts(find_board_shots(boards))
+    observer.said(f"{counted(len(shots), 'shot')} in {boards}")
+    pipeline = common_pipeline(_paths(shots))
+    chosen = _chosen_board(shots, options, observer)
+    tick = observer.detecting(len(shots))
+    detected = detect_shots(shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes)
+    n_tele = sum(shot.tele is not None for shot in detected)
+    n_wide = sum(shot.wide is not None for shot in detected)
+    observer.said(f"board found in {n_tele} tele and {n_wide} wide photos; calibrating")
+    refuse_exchanged(shots, detected)
+    calibration = calibrate_rig(detected, board_points_m=board_points_m(chosen.board), seed=options.seed)
+    notes = (
+        *chosen.notes,
+        *(f"{shot.name}: {note}" for shot in detected for note in shot.notes),
+        *(f"left out: {v.shot}, {v.camera}: {v.reason}" for v in calibration.views if not v.is_used),
+    )
+    facts = RigFacts(
+        image_pipeline=pipeline,
+        focus_distance_m=_focus_distance_m(shots),
+        scale_verified=chosen.is_measured,
+        board=chosen.name,
+        notes=chosen.notes,
+    )
+    write_rig(options.out, calibration, facts=facts)
+    report = _write_report(boards, shots, calibration, chosen=chosen, options=options)
+    return CalibrationRun(calibration, options.out, report, facts, notes)
+
+
+def _focus_distance_m(shots: Sequence[BoardShot]) -> float | None:
+    """Where the tele lens was focused in the joint shots, by its photos; None where they do not say."""
+    stated = []
+    for shot in shots:
+        if shot.tele_path is not None and shot.wide_path is not None:
+            with suppress(InputError):
+                stated.append(read_photo_facts(shot.tele_path).subject_distance_m)
+    known = [distance_m for distance_m in stated if distance_m is not None and math.isfinite(distance_m)]
+    return statistics.median(known) if known else None
+
+
+def _paths(shots: Sequence[BoardShot]) -> list[Path]:
+    return [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
+
+
+def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observer: CalibrationObserver) -> _ChosenBoard:
+    others: tuple[str, ...] = ()
+    if options.board is not None:
+        name, board = options.board, load_board(options.board)
+    else:
+        recognised = recognise_board(shots)
+        name, board, others = recognised.name, recognised.board, recognised.same_pattern
+        observer.said(f"the photos show the board {name}")
+    if options.square_m is not None:
+        return _ChosenBoard(name, resized_board(board, square_m=options.square_m), True, ())
+    also = "".join(f"; {other} looks the same with {load_board(other).square_m * 1e3:g} mm" for other in others)
+    note = (
+        f"the squares are taken as {board.square_m * 1e3:g} mm, the nominal size of {name}{also}: metres are only as "
+        "true as that; measure a square of your print and give --square-m"
+    )
+    return _ChosenBoard(name, board, False, (note,))
+
+
+def _write_report(
+    boards: Path,
+    shots: Sequence[BoardShot],
+    calibration: Calibration,
+    *,
+    chosen: _ChosenBoard,
+    options: CalibrateOptions,
+) -> Path:
+    path = options.out.with_name(f"{options.out.stem}_report.html")
+    square = "measured" if chosen.is_measured else "nominal, not measured"
+    facts = {
+        "board": f"{chosen.name}, squares of {chosen.board.square_m * 1e3:g} mm ({square})",
+        "photos": str(boards),
+        "rig": options.out.name,
+        "telewide": metadata.version("telewide"),
+    }
+    rectified = _rectified_shot(shots, calibration)
+    steps = _next_steps(boards, calibration, options)
+    return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
+
+
+def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOptions) -> tuple[NextStep, ...]:
+    stated = {"--board": options.board, "--square-m": options.square_m}
+    words = [f"{flag} {value}" for flag, value in stated.items() if value is not None]
+    again = " ".join(["telewide calibrate", str(boards), *words])
+    steps = []
+    if calibration.quality.verdict != "good":
+        steps.append(NextStep("Add such photos to the folder and calibrate again:", again))
+    if options.square_m is None:
+        steps.append(
+            NextStep(
+                "Measure ten squares of your print with a ruler and give a tenth, in metres:", f"{again} --square-m M"
+            )
+        )
+    if calibration.quality.verdict != "insufficient":
+        steps.append(NextStep("Train on captures taken with the same lenses:", "telewide train captures/"))
+    return tuple(steps)
+
+
+def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> tuple[str, FloatMap, FloatMap] | None:
+    """The joint shot whose board is at the middle distance, rectified; None where there is none."""
+    used = {(view.shot, view.camera): view for view in calibration.views if view.is_used}
+    by_name = {shot.name: shot for shot in shots if not (shot.tele_turn_deg or shot.wide_turn_deg)}
+    joint = [name for name, lens in used if lens == "tele" and (name, "wide") in used and name in by_name]
+    if not joint:
+        return None
+    far_first = sorted(joint, key=lambda name: -_finite(used[name, "tele"].distance_m))
+    shot = by_name[far_first[len(far_first) // 2]]
+    if shot.tele_path is None or shot.wide_path is None:
+        return None
+    try:
+        rectified = rectify_pair(
+            read_image(shot.tele_path),
+            read_image(shot.wide_path),
+            rig=calibration.rig,
+            name=shot.name,
+            working_width_px=_PREVIEW_WIDTH_PX,
+        )
+    except TelewideError:  # an insufficient rig may be one that cannot be rectified; its report is needed all the more
+        return None
+    return shot.name, rectified.pair.tele, rectified.pair.wide
+
+
+def _finite(value: float) -> float:
+    return value if math.isfinite(value) else 0.0

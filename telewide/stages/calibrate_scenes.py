@@ -1,0 +1,342 @@
+"""A rig without a board: EXIF and the matches of ordinary captures in, rig.yaml and a page about it out.
+
+    captures/ ── EXIF focal lengths ── match every capture ── solve jointly ── solve halves, to judge it
+              ── rig.yaml + rig_report.html
+
+What such a rig cannot know (the length of the baseline, the zero of disparity) is part of its checks. A rig that is not
+good enough is written too, marked so; it is for the caller to refuse it.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.result import CameraStd, TransformStd
+from telewide.calibration.rig_file import RIG_FILE, RigFacts, StoredRig, write_stored_rig
+from telewide.calibration.scene_quality import (
+    MIN_CHECKED_SCENES,
+    SceneEvidence,
+    is_match,
+    judge_scenes,
+    row_errors_px,
+)
+from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, Side
+from telewide.calibration.scene_solver import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
+from telewide.capture.exif import common_pipeline, read_photo_facts
+from telewide.capture.images import read_image
+from telewide.capture.lenses import with_checked_lenses
+from telewide.capture.pair import Capture, Problem, find_captures
+from telewide.correction.rectify import rectify_pair
+from telewide.correction.refinement import fit_shot, refined_rig
+from telewide.counted import counted
+from telewide.errors import InputError, TelewideError
+from telewide.geometry.rig import Camera
+from telewide.geometry.stereo import FloatMap
+from telewide.pages.report import NextStep
+from telewide.pages.scenes_report import SceneView, write_scenes_report
+from telewide.points.matches import Matches
+from telewide.points.photo_matches import find_photo_matches
+from telewide.stages.calibrate import CalibrationObserver
+
+FloatArray = NDArray[np.float64]
+Hw = tuple[int, int]
+
+CAPTURES_FOLDER = Path("captures")
+_FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
+_PREVIEW_WIDTH_PX = 1000
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What ``telewide calibrate --from-scenes`` was asked for.
+
+    Attributes:
+        baseline_m: distance of the lenses, where the user states it.
+        wide_side: the side of tele on which wide stands, where the user states it.
+        f35_mm: focal lengths of tele and wide as 35 mm equivalents; None takes those of EXIF.
+        out: the file to write; the report lies beside it.
+        seed: of the choice among many matches.
+    """
+
+    baseline_m: float | None = None
+    wide_side: Side | None = None
+    f35_mm: tuple[float, float] | None = None
+    out: Path = RIG_FILE
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class SceneRun:
+    """A rig from scenes and where it was written.
+
+    Attributes:
+        stored: the rig with its quality.
+        rig: path of ``rig.yaml``.
+        report: path of the page about it.
+        notes: what a person should know, one sentence each.
+    """
+
+    stored: StoredRig
+    rig: Path
+    report: Path
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Matched:
+    """Captures of one size with their matches.
+
+    Attributes:
+        captures: of the commonest photo sizes.
+        scenes: their matches.
+        sizes: of tele's and of wide's photos.
+        notes: on captures that have no say.
+    """
+
+    captures: tuple[Capture, ...]
+    scenes: tuple[Matches, ...]
+    sizes: tuple[Hw, Hw]
+    notes: tuple[str, ...]
+
+    @property
+    def telling(self) -> tuple[int, ...]:
+        """Numbers of the captures with matches enough."""
+        return tuple(n for n, matches in enumerate(self.scenes) if len(matches) >= MIN_SCENE_MATCHES)
+
+
+def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: CalibrationObserver) -> SceneRun:
+    """Find a rig from captures of ordinary scenes, and write it and a page about it.
+
+    Args:
+        captures: folder of the captures, photos as they came from the phone.
+        options: what is known besides, output.
+        observer: hears of it.
+
+    Returns:
+        The rig, of any verdict, with the files written.
+
+    Raises:
+        UsageError: no such folder, or wide cannot stand where it is stated to.
+        InputError: the photos do not say their focal length, were not made in one way, or too few of them match.
+    """
+    found = with_checked_lenses(find_captures(captures))
+    problems = tuple(_spoken(problem) for problem in found.problems)
+    if not found.captures:
+        raise InputError(f"{captures}: no capture can be used" + "".join(f"\n  {line}" for line in problems))
+    observer.said(f"{counted(len(found.captures), 'capture')} in {captures}")
+    pipeline = common_pipeline(path for capture in found.captures for path in (capture.tele_path, capture.wide_path))
+    focal_mm = options.f35_mm or _stated_f35_mm(captures, found.captures)
+    matched = _matched(found.captures, focal_mm=focal_mm, tick=observer.detecting(len(found.captures)))
+    focal = _focal_prior(focal_mm, matched.sizes)
+    evidence = _solved(matched, focal=focal, options=options)
+    facts = RigFacts(
+        image_pipeline=pipeline,
+        scale_verified=False,  # a distance that somebody states is not measured in these photos
+        source="scenes",
+        notes=evidence.whole.notes,
+    )
+    stored = _stored(evidence.whole, quality=judge_scenes(evidence), facts=facts)
+    write_stored_rig(options.out, stored)
+    report = _write_report(captures, matched, evidence, stored=stored, options=options)
+    return SceneRun(stored, options.out, report, (*evidence.whole.notes, *problems, *matched.notes))
+
+
+def _spoken(problem: Problem) -> str:
+    return f"{'left out: ' if problem.is_skipped else ''}{problem.name}: {problem.message}"
+
+
+def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, float]:
+    """Medians over all captures of what EXIF says."""
+    facts = [(read_photo_facts(each.tele_path), read_photo_facts(each.wide_path)) for each in captures]
+    stated = [[photo.f35_mm for photo in lens if photo.f35_mm is not None] for lens in zip(*facts, strict=True)]
+    if not all(stated):
+        raise InputError(
+            f"the photos in {folder} do not state their focal lengths (EXIF FocalLengthIn35mmFilm of both lenses)",
+            hint="give them with --f35 TELE,WIDE, in 35 mm equivalents such as 80,27; or calibrate with a board",
+        )
+    return statistics.median(stated[0]), statistics.median(stated[1])
+
+
+def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick: Callable[[], None]) -> _Matched:
+    """Match all captures of the commonest photo sizes; notes on the others."""
+    sizes = [_sizes(capture) for capture in captures]
+    common = Counter(sizes).most_common(1)[0][0]
+    rig = first_rig(tele_hw=common[0], wide_hw=common[1], focal=_focal_prior(focal_mm, common))
+    alike, scenes, notes = [], [], []
+    for capture, size in zip(captures, sizes, strict=True):
+        if size == common:
+            tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
+            alike.append(capture)
+            scenes.append(find_photo_matches(tele, wide, rig=rig))
+            if len(scenes[-1]) < MIN_SCENE_MATCHES:
+                notes.append(f"{capture.name}: {len(scenes[-1])} matches, too few for a say")
+        else:
+            notes.append(f"{capture.name}: photos of another size or held otherwise, left out")
+        tick()
+    return _Matched(tuple(alike), tuple(scenes), common, tuple(notes))
+
+
+def _sizes(capture: Capture) -> tuple[Hw, Hw]:
+    sizes = [read_photo_facts(path).hw for path in (capture.tele_path, capture.wide_path)]
+    if sizes[0] is None or sizes[1] is None:
+        raise InputError(f"{capture.name}: the size of its photos cannot be read")
+    return sizes[0], sizes[1]
+
+
+def _focal_prior(focal_mm: tuple[float, float], sizes: tuple[Hw, Hw]) -> FocalPrior:
+    """``f_px = f35 d_px / d_35``, d the diagonal (CIPA DCG-001)."""
+    tele, wide = (
+        f35_mm / _FULL_FRAME_DIAGONAL_MM * math.hypot(*hw) for f35_mm, hw in zip(focal_mm, sizes, strict=True)
+    )
+    return FocalPrior(tele_f_px=tele, wide_f_px=wide)
+
+
+def _solved(matched: _Matched, *, focal: FocalPrior, options: SceneOptions) -> SceneEvidence:
+    """The rig from all captures, and from halves of them where there are enough, with what those say of the others."""
+
+    def rig_of(some: Sequence[Matches], wide_side: Side | None) -> SceneRig:
+        return rig_from_scenes(
+            some,
+            tele_hw=matched.sizes[0],
+            wide_hw=matched.sizes[1],
+            focal=focal,
+            baseline_m=options.baseline_m,
+            wide_side=wide_side,
+            seed=options.seed,
+        )
+
+    whole = rig_of(matched.scenes, options.wide_side)
+    scenes = [matched.scenes[n] for n in matched.telling]
+    if len(scenes) < MIN_CHECKED_SCENES:
+        return SceneEvidence(whole, None)
+    # Which side it is has a check of its own: halves that guess differently would say nothing about the rest.
+    halves = (rig_of(scenes[::2], whole.wide_side), rig_of(scenes[1::2], whole.wide_side))
+    errors_px = [row_errors_px(each, rig=halves[1 - n % 2].rig) for n, each in enumerate(scenes)]
+    kept_px = tuple(errors[is_match(errors, rig=whole.rig)] for errors in errors_px)
+    return SceneEvidence(whole, halves, kept_px)
+
+
+def _stored(whole: SceneRig, *, quality: CalibrationQuality, facts: RigFacts) -> StoredRig:
+    rig, std = whole.rig, whole.std
+    wide_f_share = math.hypot(std.tele_f_share, std.ratio_share)
+    # In the picture plane and out of it: the two directions in which a unit vector can move.
+    direction_m = rig.baseline_m * np.array([std.direction_rad[0], std.direction_rad[0], std.direction_rad[1]])
+    length_m = std.baseline_m * rig.wide_from_tele[:3, 3] / rig.baseline_m
+    covariance = np.diag(np.concatenate([std.rotation_rad, direction_m]) ** 2)
+    covariance[3:, 3:] += np.outer(length_m, length_m)
+    return StoredRig(
+        rig=rig,
+        tele_std=CameraStd(
+            std.tele_f_share * rig.tele.f_px,
+            float(std.tele_centre_px[0]),
+            float(std.tele_centre_px[1]),
+            _distortion_std(rig.tele, std, 0),
+        ),
+        wide_std=CameraStd(
+            wide_f_share * rig.wide.f_px,
+            float(std.wide_centre_px[0]),
+            float(std.wide_centre_px[1]),
+            _distortion_std(rig.wide, std, 1),
+        ),
+        transform_std=TransformStd(
+            rotation_deg=np.degrees(std.rotation_rad),
+            translation_m=np.sqrt(np.diag(covariance)[3:]),
+            baseline_m=std.baseline_m,
+            covariance=covariance,
+        ),
+        quality=quality,
+        facts=facts,
+        n_joint_views=whole.n_scenes,
+    )
+
+
+def _distortion_std(camera: Camera, std: SceneStd, lens: int) -> FloatArray:
+    """Of k1; the other coefficients are held at 0."""
+    return np.asarray(std.distortion[lens] * (np.arange(len(camera.distortion)) == 0), dtype=np.float64)
+
+
+def _write_report(
+    folder: Path, matched: _Matched, evidence: SceneEvidence, *, stored: StoredRig, options: SceneOptions
+) -> Path:
+    path = options.out.with_name(f"{options.out.stem}_report.html")
+    facts = {
+        "captures": str(folder),
+        "focal lengths": "EXIF" if options.f35_mm is None else "stated, {:g} and {:g} mm".format(*options.f35_mm),
+        "rig": options.out.name,
+        "telewide": metadata.version("telewide"),
+    }
+    return write_scenes_report(
+        path,
+        evidence.whole,
+        quality=stored.quality,
+        views=_views(matched, evidence),
+        facts=facts,
+        next_steps=_next_steps(folder, stored, options=options, evidence=evidence),
+        rectified=_rectified_capture(matched, evidence.whole),
+    )
+
+
+def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:
+    held_out = dict(zip(matched.telling, evidence.errors_px, strict=False))
+    views = []
+    for number, (capture, matches) in enumerate(zip(matched.captures, matched.scenes, strict=True)):
+        is_used = number in matched.telling
+        agreeing = matches
+        if is_used:
+            errors_px = row_errors_px(matches, rig=evidence.whole.rig)
+            agreeing = matches.select(is_match(errors_px, rig=evidence.whole.rig))
+        views.append(SceneView(capture.name, agreeing, len(matches), held_out.get(number, np.zeros(0)), is_used))
+    return tuple(views)
+
+
+def _next_steps(
+    folder: Path, stored: StoredRig, *, options: SceneOptions, evidence: SceneEvidence
+) -> tuple[NextStep, ...]:
+    stated = {
+        "--f35": None if options.f35_mm is None else "{:g},{:g}".format(*options.f35_mm),
+        "--baseline-m": options.baseline_m,
+        "--wide-side": options.wide_side,
+    }
+    words = [f"{flag} {value}" for flag, value in stated.items() if value is not None]
+    again = " ".join(["telewide calibrate", str(folder), "--from-scenes", *words])
+    steps = []
+    if any(check.unit == "captures" and check.status != "pass" for check in stored.quality.checks):
+        steps.append(NextStep("Add such captures to the folder and calibrate again:", again))
+    if evidence.whole.side_source == "guessed":
+        side = evidence.whole.wide_side
+        steps.append(NextStep("State where the wide lens stands, seen from behind:", f"{again} --wide-side {side}"))
+    if options.baseline_m is None:
+        text = "For metres, measure from the middle of one lens to that of the other, and give it in metres:"
+        steps.append(NextStep(text, f"{again} --baseline-m M"))
+    if stored.quality.verdict != "insufficient":
+        steps.append(NextStep("Train on captures taken with the same lenses:", f"telewide train {folder}"))
+        text = "Pin a capture's depth to a point (column, row) of the tele photo and its distance in metres:"
+        steps.append(NextStep(text, f"telewide depth {folder}/NAME --distance X,Y,M"))
+    return tuple(steps)
+
+
+def _rectified_capture(matched: _Matched, whole: SceneRig) -> tuple[str, FloatMap, FloatMap] | None:
+    """The capture with the most matches, rectified; None where the rig cannot."""
+    number = max(range(len(matched.scenes)), key=lambda n: len(matched.scenes[n]))
+    capture = matched.captures[number]
+    try:
+        rectified = rectify_pair(
+            read_image(capture.tele_path),
+            read_image(capture.wide_path),
+            rig=refined_rig(whole.rig, fit_shot(matched.scenes[number], rig=whole.rig)),
+            name=capture.name,
+            working_width_px=_PREVIEW_WIDTH_PX,
+        )
+    except TelewideError:  # an insufficient rig may be one that cannot be rectified; its report is needed all the more
+        return None
+    return capture.name, rectified.pair.tele, rectified.pair.wide

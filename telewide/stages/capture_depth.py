@@ -1,0 +1,263 @@
+"""One capture's depth: matched, brought to the photo's own size and edges, written, and measured; or taken as it lies.
+
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from telewide.bokeh.focus import Focus, find_focus
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, why_no_bokeh
+from telewide.capture.images import read_image, write_image
+from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
+from telewide.capture.rundir import fingerprint
+from telewide.correction.moving import MovedRegion, moving_mask
+from telewide.depth.edges import follow_edges
+from telewide.depth.export import write_depth
+from telewide.depth.pin import KnownDistance
+from telewide.depth.precision import DepthPrecision
+from telewide.depth.precision_notes import hardly_known_notes, pinned_shot
+from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
+from telewide.depth.unrectify import disparity_on_tele
+from telewide.errors import InputError, UsageError
+from telewide.geometry.rectification import RectifiedGeometry
+from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
+from telewide.metrics import end_point_error_px, three_pixel_error
+from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.stages.kept_depth import KEPT_NAME, KeptDepth, read_kept, write_kept
+
+Match = Callable[[FloatMap, FloatMap], DisparityMap]
+
+
+@dataclass(frozen=True)
+class ShotGeometry:
+    """How the matched pair lies to the photos it was rectified from.
+
+    Attributes:
+        geometry: of the rectified views.
+        precision: what all depths of the shot share.
+        moved: parts of the tele photo that moved between the two exposures.
+        known: a point of known distance; None without.
+    """
+
+    geometry: RectifiedGeometry
+    precision: DepthPrecision
+    moved: tuple[MovedRegion, ...] = ()
+    known: KnownDistance | None = None
+
+
+@dataclass(frozen=True)
+class DepthOutcome:
+    """What was made of one capture.
+
+    Attributes:
+        name: of the capture.
+        paths: files written.
+        notes: what was left out, and why; what the bokeh is focused on.
+        numbers: seconds, focus, shares of held-out matches missed, errors against a truth where the set has one.
+        is_kept: whether all of it lay there, made from the same.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    notes: tuple[str, ...]
+    numbers: Mapping[str, float]
+    is_kept: bool = False
+
+
+@dataclass(frozen=True)
+class DepthFailure:
+    """Why there is no depth of one capture.
+
+    Attributes:
+        name: of the capture.
+        error: what was wrong.
+    """
+
+    name: str
+    error: InputError | UsageError
+
+    @property
+    def problem(self) -> Problem:
+        """The capture, as one that was left out."""
+        return Problem(self.name, self.error.message)
+
+    def of_all(self, captures_root: Path) -> InputError | UsageError:
+        """The error of a whole set of which nothing is left."""
+        message = f"{captures_root}: no depth could be computed; {self.name}: {self.error.message}"
+        return type(self.error)(message, hint=self.error.hint)
+
+
+def depth_of_capture(
+    source: Capture,
+    held_out: HeldOut,
+    folder: Path,
+    *,
+    facts: CaptureFacts,
+    match: Match,
+    bokeh: BokehOptions | None,
+    key: Mapping[str, object],
+    shot: ShotGeometry | None = None,
+) -> DepthOutcome | DepthFailure:
+    """Make depth, and bokeh if asked, of one capture, unless the same lies there already.
+
+    Args:
+        source: the photos as taken.
+        held_out: the corrected pair made from them, with the matches to judge by.
+        folder: where the files go.
+        facts: what the owner states.
+        match: (ref, src), both (H, W, 3) in [0, 1], to the disparity of ref.
+        bokeh: None for no bokeh picture.
+        key: everything the files depend on, as plain data.
+        shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
+
+    Returns:
+        The files, and what was measured; or why there are none, where a photo, the truth or the bokeh asked for
+        cannot be used: one bad capture does not stop the others.
+    """
+    try:
+        lying = made = read_kept(folder, key)
+        if made is None:
+            computed = _compute(source, held_out, facts=facts, match=match, bokeh=bokeh, shot=shot)
+            (folder / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
+            made = _write(folder, computed)
+            write_kept(folder, made, key=key)
+    except (InputError, UsageError) as error:
+        return DepthFailure(source.name, error)
+    paths = tuple(folder / name for name in made.files)
+    return DepthOutcome(source.name, paths, made.notes, made.numbers, is_kept=lying is not None)
+
+
+@dataclass(frozen=True)
+class _Computed:
+    """All that is to be written of one capture; `bokeh_note` without a picture says why there is none."""
+
+    photo: FloatMap
+    result: DepthResult
+    metric_notes: tuple[str, ...]
+    picture: FloatMap | None
+    bokeh_note: str | None
+    numbers: Mapping[str, float]
+
+
+def _compute(
+    source: Capture,
+    held_out: HeldOut,
+    *,
+    facts: CaptureFacts,
+    match: Match,
+    bokeh: BokehOptions | None,
+    shot: ShotGeometry | None,
+) -> _Computed:
+    """Do all that can fail, and touch no file."""
+    begun_s = time.monotonic()
+    pair = read_pair(held_out.capture)
+    working = match(pair.tele, pair.wide)
+    numbers = {"match_s": time.monotonic() - begun_s}
+    photo = read_image(source.tele_path)
+    if shot is None:
+        result = depth_result(source.name, on_photo(working, photo), facts=facts)
+        metric_notes: tuple[str, ...] = ()
+    else:
+        result, metric_notes = _result_of_shot(source.name, working, photo, shot=shot)
+    numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
+    numbers |= _errors_of_truth(source, result.disparity.disparity_px)
+    picture, note = None, None
+    if bokeh is not None:
+        picture, note, focused = _blurred(photo, result, bokeh)
+        numbers |= focused
+    numbers["total_s"] = time.monotonic() - begun_s
+    return _Computed(photo, result, metric_notes, picture, note, numbers)
+
+
+def _blurred(
+    photo: FloatMap, result: DepthResult, bokeh: BokehOptions
+) -> tuple[FloatMap | None, str, dict[str, float]]:
+    """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
+    refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m)
+    if refusal is not None:
+        return None, f"{result.name}: bokeh.jpg left out: {refusal}", {}
+    focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
+    picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
+    focused = _focus_numbers(focus, result)
+    depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")
+    return picture, focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh), focused
+
+
+def _write(folder: Path, computed: _Computed) -> KeptDepth:
+    disparity_path, bokeh_path = folder / "disparity.pfm", folder / "bokeh.jpg"
+    before = fingerprint(disparity_path) if disparity_path.is_file() else None
+    written = write_depth(folder, computed.result, image=computed.photo)
+    names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
+    if computed.bokeh_note is not None:
+        notes = (*notes, computed.bokeh_note)
+    if computed.picture is not None:
+        write_image(bokeh_path, computed.picture, shown_turned_deg=computed.result.rotated_deg)
+        names.append(bokeh_path.name)
+    elif computed.bokeh_note is not None or before != fingerprint(disparity_path):
+        bokeh_path.unlink(missing_ok=True)  # of another blur, or of another depth
+    return KeptDepth(tuple(names), notes, computed.numbers)
+
+
+def _result_of_shot(
+    name: str, working: DisparityMap, photo: FloatMap, *, shot: ShotGeometry
+) -> tuple[DepthResult, tuple[str, ...]]:
+    """Bring a map of the rectified view to the tele photo as it was taken, and into metres; what to know of those."""
+    pinned = pinned_shot(name, working.disparity_px, shot.known, geometry=shot.geometry, precision=shot.precision)
+    geometry = pinned.geometry
+    on_tele = disparity_on_tele(working, geometry=geometry)
+    moved = moving_mask(shot.moved, hw=photo.shape[:2])
+    confidence = np.where(moved, np.float32(0), on_tele.confidence)
+    followed_px = follow_edges(on_tele.disparity_px, photo, confidence=confidence, valid=on_tele.valid & ~moved)
+    disparity = DisparityMap(followed_px, confidence, on_tele.valid & ~moved)
+    result = depth_result_of_rig(
+        name, disparity, rig=geometry.rig, precision=pinned.precision, matched_scale=geometry.scale
+    )
+    return result, (*pinned.notes, *hardly_known_notes(result))
+
+
+def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
+    """What the bokeh is focused on, in numbers; metres only where they are known."""
+    numbers = {"focus_px": focus.disparity_px, "focus_x_px": float(focus.x_px), "focus_y_px": float(focus.y_px)}
+    maps = {"focus_m": result.depth_m, "focus_std_m": result.depth_std_m}
+    metres = {name: float(m[focus.y_px, focus.x_px]) for name, m in maps.items() if m is not None}
+    return numbers | {name: value for name, value in metres.items() if math.isfinite(value)}
+
+
+def _errors_of_truth(source: Capture, disparity_px: FloatMap) -> dict[str, float]:
+    truth_px = read_truth(source, hw=(disparity_px.shape[0], disparity_px.shape[1]))
+    if truth_px is None:
+        return {}
+    return {
+        "3PE": three_pixel_error(disparity_px, truth_px),
+        "EPE_px": end_point_error_px(disparity_px, truth_px),
+    }
+
+
+def on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:
+    """Bring a map to the photo's size, and its edges to the photo's edges.
+
+    Args:
+        working: of the size the views were matched in.
+        photo: (H, W, 3) the ref photo, RGB in [0, 1].
+
+    Returns:
+        (H, W) map; disparities are scaled to the photo's px.
+    """
+    wh = (photo.shape[1], photo.shape[0])
+    disparity_px, confidence, valid = working.disparity_px, working.confidence, working.valid
+    if disparity_px.shape != photo.shape[:2]:
+        disparity_px = resize_disparity(disparity_px, wh=wh)
+        # Of the same working pixel as the disparity.
+        confidence = np.asarray(cv2.resize(confidence, wh, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
+        valid = cv2.resize(valid.astype(np.uint8), wh, interpolation=cv2.INTER_NEAREST_EXACT) > 0
+    followed_px = follow_edges(disparity_px, photo, confidence=confidence, valid=valid)
+    return DisparityMap(followed_px, confidence, valid)

@@ -1,0 +1,441 @@
+"""One training in one run folder: begin, continue, finish, or refuse.
+
+train/training.json      resolved recipe, window, captures, and which of them are held out
+train/log.jsonl          a line for every judgement and every few steps
+train/<stage>.png        contact sheet of each finished stage
+train/state.pt, weights.safetensors, <stage>.safetensors      see `training.checkpoint`
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from telewide.capture.pair import Capture, PairReader
+from telewide.capture.rundir import RunFolder, write_text
+from telewide.cores import usable_cores
+from telewide.counted import counted
+from telewide.errors import InputError, UsageError
+from telewide.matching.inference import match_with_network
+from telewide.matching.networks import StereoNetwork
+from telewide.matching.window import Window
+from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
+from telewide.points.held_out import HeldOut
+from telewide.recipe import Recipe, differing_keys
+from telewide.stages.prepare import PreparedSet, write_labels
+from telewide.training.checkpoint import (
+    STATE_NAME,
+    BestWeights,
+    TrainingState,
+    load_state,
+    new_optimiser,
+    new_state,
+    save_state,
+)
+from telewide.training.judge import network_judge
+from telewide.training.loop import Reporter, Training, train
+from telewide.training.processes import Processes
+from telewide.training.samples import CropArea, SampleSource
+from telewide.training.stages import Stage, plan_stages
+
+FORMAT = 1
+LOG_EVERY_STEPS = 10
+FEWEST_TO_HOLD_OUT = 5
+"""With fewer captures a strip of each is held out instead of whole ones."""
+MOST_HELD_OUT = 8
+USUAL_ASYMMETRY = (1.0, 6.0)
+"""Where neither the recipe nor the pairs say how much coarser wide is."""
+SHEET_ROWS = 6
+
+
+@dataclass(frozen=True)
+class TrainOutcome:
+    """What a call of ``telewide train`` reached.
+
+    Attributes:
+        weights: the file to compute depth with.
+        is_new: False where nothing was left to do.
+        stages: name and last judgement of each finished stage.
+        best_stage: the stage whose weights are the result.
+    """
+
+    weights: Path
+    is_new: bool
+    stages: Mapping[str, float]
+    best_stage: str
+
+
+@dataclass(frozen=True)
+class TrainingRecord:
+    """What a training was begun with; the file ``training.json``.
+
+    Attributes:
+        recipe: resolved recipe as plain data.
+        window: disparities of the volume, px.
+        captures: names of the captures it has seen or judged by.
+        held_out: names of those kept for judging; empty where strips are.
+        judged: names of those it is judged by: the held-out ones, or a strip of each that there was at first.
+    """
+
+    recipe: Mapping[str, object]
+    window: Window
+    captures: tuple[str, ...]
+    held_out: tuple[str, ...]
+    judged: tuple[str, ...]
+
+
+def train_prepared(
+    prepared: PreparedSet,
+    run: RunFolder,
+    *,
+    recipe: Recipe,
+    fresh: bool,
+    device: torch.device,
+    processes: Processes,
+    reporter: Reporter,
+    searching: Callable[[Window], None],
+    labelling: Callable[[int], Callable[[], None]],
+) -> TrainOutcome:
+    """Train a network on prepared pairs in a run folder.
+
+    Args:
+        prepared: corrected pairs.
+        run: where checkpoints and logs lie.
+        recipe: resolved.
+        fresh: forget a training that lies there.
+        device: to compute on.
+        processes: this process among all.
+        reporter: hears of it.
+        searching: hears the window of the training.
+        labelling: announces labels to be computed; what it returns is called after each.
+
+    Returns:
+        What was reached.
+
+    Raises:
+        UsageError: the training that lies there was begun with another recipe.
+        KeyboardInterrupt: stopped by hand; a checkpoint is left.
+    """
+    plan = _planned(recipe)
+    if fresh and processes.is_writer:
+        _forget(run)
+    processes.wait()
+    record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=reporter)
+    processes.wait()  # all have read what the writer now changes
+    if state.is_finished:
+        return _outcome(run, plan, state, is_new=False)
+    searching(record.window)
+    if processes.is_writer:
+        _note_what_is_taken_up(run, record, state)
+    if any(stage.needs_labels for stage in plan[state.stage_index :]):
+        _label(prepared, record, processes, tick=labelling(len(prepared.pairs)))
+    processes.wait()
+    logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
+    train(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
+    return _outcome(run, plan, state, is_new=True)
+
+
+def _planned(recipe: Recipe) -> tuple[Stage, ...]:
+    plan = plan_stages(recipe.train)
+    if not plan:
+        raise UsageError("the recipe has no stage with steps", hint="set train.rehearsal.steps above 0")
+    return plan
+
+
+def _label(prepared: PreparedSet, record: TrainingRecord, processes: Processes, *, tick: Callable[[], None]) -> None:
+    """Write the labels of this process' share of the captures that training sees."""
+    names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
+    write_labels(prepared, names=processes.share(names), window=record.window, tick=tick)
+
+
+def _take_up(
+    prepared: PreparedSet,
+    run: RunFolder,
+    plan: Sequence[Stage],
+    *,
+    recipe: Recipe,
+    device: torch.device,
+    reporter: Reporter,
+) -> tuple[TrainingRecord, TrainingState]:
+    """The training that lies in a run folder, and what is new to it; or a new one."""
+    kept = read_record(run)
+    record = _agreed_record(kept, prepared, recipe)
+    state = _state_for(run, recipe, device)
+    if kept is not None and state.step + state.stage_index > 0:
+        grown = sorted(set(record.captures) - set(kept.captures))
+        if grown:
+            _reopen(state)
+        reporter.said(_where_it_stands(run, plan, state, grown=grown))
+    return record, state
+
+
+def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: TrainingState) -> None:
+    """First that something is left to do, then that new captures are known: a stop in between loses neither."""
+    if (run.train / STATE_NAME).is_file():
+        save_state(state, run.train / STATE_NAME)
+    _write_record(run, record)
+    _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
+
+
+def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:
+    """One line on a training that was begun before."""
+    if state.is_finished:
+        return f"finished already: {run.weights}; --fresh starts over"
+    resuming = f"resuming {plan[state.stage_index].name} at step {state.step}"
+    if not grown:
+        return resuming
+    return f"{counted(len(grown), 'new capture')}: {', '.join(grown[:5])}; {resuming} on the larger set"
+
+
+def read_record(run: RunFolder) -> TrainingRecord | None:
+    """The record of the training in a run folder, or None where there is none.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    path = run.training_record
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        first, end = content["window"]
+        captures, held_out = tuple(content["captures"]), tuple(content["held_out"])
+        judged = tuple(content.get("judged", held_out or captures))
+        return TrainingRecord(content["recipe"], (first, end), captures, held_out, judged)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is damaged", hint="start over with --fresh") from error
+
+
+def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe) -> TrainingRecord:
+    """The record to go on with: the kept one with what is new, or refuse where the recipe has changed."""
+    names = tuple(item.capture.name for item in prepared.pairs)
+    resolved = recipe.model_dump(mode="json")
+    if kept is None:
+        held_out = _choose_held_out(names, recipe)
+        return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names)
+    changed = differing_keys(kept.recipe, resolved)
+    if changed:
+        raise UsageError(
+            f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
+            hint="use the same recipe to continue, --fresh to start over, or --out for another run folder",
+        )
+    # Held-out captures stay: the judge must not change under a network.
+    held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
+    if not judged:
+        raise UsageError(
+            f"the captures that this training is judged by are no longer there: {', '.join(kept.judged)}",
+            hint="put them back, or start over with --fresh",
+        )
+    if len(held_out) == len(names):
+        raise UsageError(
+            f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
+            hint="add captures, or start over with --fresh",
+        )
+    return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged)
+
+
+def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
+    if len(names) < FEWEST_TO_HOLD_OUT:
+        return ()
+    count = min(MOST_HELD_OUT, max(1, round(recipe.train.held_out_share * len(names))))
+    chosen = np.random.default_rng(recipe.seed).choice(len(names), size=count, replace=False)
+    return tuple(names[index] for index in sorted(chosen))
+
+
+def _state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingState:
+    path = run.train / STATE_NAME
+    if path.is_file():
+        return load_state(path, network_name=recipe.network, device=device)
+    return new_state(recipe.network, seed=recipe.seed, device=device)
+
+
+def _reopen(state: TrainingState) -> None:
+    """A finished training takes its last stage again on the larger set, from its result, and ends no worse."""
+    if state.is_finished:
+        state.is_finished, state.step, state.judgements = False, 0, []
+        result = {name: value.clone() for name, value in state.average.state_dict().items()}
+        state.best = BestWeights(0, state.stage_judgements[state.best_stage], result)
+        state.stage_judgements = state.stage_judgements[: state.stage_index]
+        state.best_stage = min(state.best_stage, max(0, state.stage_index - 1))
+        state.optimiser = new_optimiser(state.network)
+
+
+def _training(
+    prepared: PreparedSet,
+    run: RunFolder,
+    record: TrainingRecord,
+    recipe: Recipe,
+    *,
+    device: torch.device,
+    processes: Processes,
+) -> Training:
+    seen = tuple(item.capture for item in prepared.pairs if item.capture.name not in record.held_out)
+    area = CropArea() if record.held_out else CropArea(end=1 - recipe.train.held_out_share)
+    source = SampleSource(
+        captures=seen,
+        crop_hw=recipe.train.crop_hw,
+        window_px=record.window,
+        asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
+        area=area,
+        labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
+    )
+    judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
+    return Training(
+        folder=run.train,
+        options=recipe.train,
+        source=source,
+        judge=judge,
+        seed=recipe.seed,
+        network_name=recipe.network,
+        recipe=record.recipe,
+        device=device,
+        processes=processes,
+        workers=_workers(device),
+    )
+
+
+def judged_captures(prepared: PreparedSet, record: TrainingRecord, recipe: Recipe) -> list[HeldOut]:
+    """Held-out captures with their matches; with few captures, the held-out strip of each."""
+    if record.held_out:
+        return [item.held_out for item in prepared.pairs if item.capture.name in record.held_out]
+    reader = PairReader(max_bytes=0)
+    strips = []
+    for item in (item for item in prepared.pairs if item.capture.name in record.judged):
+        width = reader.read(item.capture).tele.shape[1]
+        strips.append(item.held_out.beyond((1 - recipe.train.held_out_share) * width))
+    return strips
+
+
+def _workers(device: torch.device) -> int:
+    """One process prepares batches beside two computing cores; a GPU is fed by more, out of its share of the cores."""
+    if device.type == "cpu":
+        return 1
+    return min(8, max(1, usable_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")) - 1))
+
+
+def _outcome(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
+    stages = {stage.name: value for stage, value in zip(plan, state.stage_judgements, strict=False)}
+    return TrainOutcome(run.weights, is_new, stages, plan[state.best_stage].name)
+
+
+def _forget(run: RunFolder) -> None:
+    """Remove the files a training wrote, and nothing else that may lie there."""
+    if run.train.is_dir():
+        for path in run.train.iterdir():
+            if path.is_file() and path.suffix in {".pt", ".safetensors", ".json", ".jsonl", ".png"}:
+                path.unlink()
+
+
+def _write_record(run: RunFolder, record: TrainingRecord) -> None:
+    content = {
+        "format": FORMAT,
+        "recipe": record.recipe,
+        "window": list(record.window),
+        "captures": list(record.captures),
+        "held_out": list(record.held_out),
+        "judged": list(record.judged),
+    }
+    write_text(run.training_record, json.dumps(content, indent=2) + "\n")
+
+
+def _drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
+    """Forget the lines of steps that a resumed training takes again."""
+    if not path.is_file():
+        return
+    kept = [
+        line
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if (entry := _parsed(line)) and (entry.get("stage_index", 0), entry.get("step", 0)) <= (stage_index, step)
+    ]
+    write_text(path, "".join(f"{line}\n" for line in kept))
+
+
+def _parsed(line: str) -> dict[str, int]:
+    try:
+        entry = json.loads(line)
+    except ValueError:  # cut off in the middle of a line
+        return {}
+    return entry if isinstance(entry, dict) else {}
+
+
+@dataclass
+class _LoggedReporter:
+    """Passes everything on, and keeps the log and the contact sheets."""
+
+    inner: Reporter
+    run: RunFolder
+    prepared: PreparedSet
+    record: TrainingRecord
+    is_writer: bool
+    _sums: dict[str, float] = field(default_factory=dict)
+    _n_summed: int = 0
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        self._forget_sums()
+        self.inner.stage_started(stage, first_step=first_step)
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        for name, value in losses.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self._n_summed += 1
+        if step % LOG_EVERY_STEPS == 0:
+            # Fewer steps than usual after a resumption in between.
+            rounded = {name: round(value / self._n_summed, 5) for name, value in self._sums.items()}
+            self._log(stage, step, {"losses": rounded, "seconds": round(seconds, 3)})
+            self._forget_sums()
+        self.inner.step_done(stage, step=step, losses=losses, seconds=seconds)
+
+    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
+        finite = {name: value if math.isfinite(value) else None for name, value in judgement.items()}
+        self._log(stage, step, {"judgement": finite})
+        self.inner.judged(stage, step=step, judgement=judgement)
+
+    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
+        if self.is_writer:
+            sheet = contact_sheet(self._rows(network), title=f"{stage.name}")
+            write_sheet(self.run.train / f"{stage.name}.png", sheet)
+        self.inner.stage_finished(stage, network=network, judgement=judgement)
+
+    def said(self, message: str) -> None:
+        self.inner.said(message)
+
+    def _forget_sums(self) -> None:
+        self._sums.clear()
+        self._n_summed = 0
+
+    def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
+        if not self.is_writer:
+            return
+        path = self.run.training_log
+        path.parent.mkdir(parents=True, exist_ok=True)
+        line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
+        with path.open("a", encoding="utf-8") as log:
+            log.write(json.dumps(line) + "\n")
+
+    def _rows(self, network: StereoNetwork) -> list[ContactRow]:
+        reader = PairReader(max_bytes=0)
+        return [self._row(reader, capture, network) for capture in self._shown()]
+
+    def _row(self, reader: PairReader, capture: Capture, network: StereoNetwork) -> ContactRow:
+        pair = reader.read(capture)
+        disparity = match_with_network(pair.tele, pair.wide, network=network, window=self.record.window)
+        is_held_out = capture.name in self.record.held_out
+        return ContactRow(
+            name=f"{capture.name} (held out)" if is_held_out else capture.name,
+            tele=pair.tele,
+            wide=pair.wide,
+            disparity=disparity,
+            rotated_deg=self.prepared.facts.rotated_deg,
+        )
+
+    def _shown(self) -> list[Capture]:
+        """Held-out captures first: they tell what a new photo would get."""
+        captures = [item.capture for item in self.prepared.pairs]
+        return sorted(captures, key=lambda capture: capture.name not in self.record.held_out)[:SHEET_ROWS]

@@ -1,0 +1,152 @@
+"""What a bokeh picture is focused on: points, words, and the subject of simulated scenes; and that it is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from telewide.bokeh.focus import Focus, find_focus
+from telewide.bokeh.picture import BokehOptions, focus_note
+from telewide.capture.images import read_pfm
+from telewide.errors import InputError, UsageError
+from telewide.geometry.stereo import FloatMap
+from telewide.simulate.captures import write_captures
+
+
+def found_px(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> float:
+    return find_focus(disparity_px, confidence, focus=focus).disparity_px
+
+
+@pytest.fixture
+def scene_px() -> np.ndarray:
+    """A wall at -3 px, a person in the middle at 12 px, a branch in the corner at 30 px."""
+    disparity_px = np.full((120, 160), -3.0, np.float32)
+    disparity_px[30:, 60:100] = 12.0
+    disparity_px[:30, :40] = 30.0
+    return disparity_px
+
+
+def test_focus_words_name_the_surfaces(scene_px: np.ndarray, rng: np.random.Generator) -> None:
+    noisy_px = scene_px + rng.normal(0, 0.1, scene_px.shape).astype(np.float32)
+    confidence = np.ones_like(noisy_px)
+    noisy_px[50:60, 70:80], confidence[50:60, 70:80] = 55.0, 0.1  # a mistake that knows it is one
+    noisy_px[::17, ::13] = np.nan
+    assert found_px(noisy_px, confidence, focus="auto") == pytest.approx(12, abs=0.3)
+    assert found_px(noisy_px, confidence, focus="near") == pytest.approx(30, abs=0.5)
+    assert found_px(noisy_px, confidence, focus=" FAR ") == pytest.approx(-3, abs=0.5)
+    assert np.isfinite(found_px(noisy_px, np.zeros_like(confidence), focus="auto"))
+
+
+@pytest.mark.parametrize("word", ["auto", "near", "far"])
+def test_focus_on_one_distance_is_that_distance(word: str) -> None:
+    assert found_px(np.full((30, 40), -7.5, np.float32), np.ones((30, 40), np.float32), focus=word) == -7.5
+
+
+def test_focus_point_is_the_surface_under_it(scene_px: np.ndarray) -> None:
+    confidence = np.ones_like(scene_px)
+    for point, expected in (("80,60", 12), ("60, 30", 12), ("59,30", -3), ("0,0", 30), ("159,119", -3), ("-0.4,5", 30)):
+        assert found_px(scene_px, confidence, focus=point) == expected
+    scene_px[60, 80] = np.nan
+    assert found_px(scene_px, confidence, focus="80,60") == 12
+
+
+@pytest.mark.parametrize("focus", ["160,5", "5,120", "-1,5", "5,-1", "1e9,4"])
+def test_focus_outside_the_photo_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
+    with pytest.raises(UsageError, match="160 x 120"):
+        found_px(scene_px, np.ones_like(scene_px), focus=focus)
+
+
+@pytest.mark.parametrize("focus", ["", "nearest", "12", "1,2,3", "a,b", "nan,3", "3,inf"])
+def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
+    with pytest.raises(UsageError, match="X,Y"):
+        found_px(scene_px, np.ones_like(scene_px), focus=focus)
+
+
+def test_focus_without_any_disparity_is_refused() -> None:
+    with pytest.raises(InputError, match="no known value"):
+        found_px(np.full((9, 9), np.nan, np.float32), np.ones((9, 9), np.float32), focus="auto")
+
+
+# The subject
+
+
+def test_auto_takes_what_stands_before_the_wall_though_the_wall_is_larger_and_flatter() -> None:
+    """A round object in the middle spreads over many disparities, the wall lies at a single one."""
+    y, x = np.mgrid[-1:1:120j, -1.5:1.5:180j]
+    disparity_px = np.full(x.shape, 6.0, np.float32)
+    radius = np.hypot(x, y)
+    ball = radius < 0.35
+    disparity_px[ball] = 30 + 8 * np.sqrt(0.35**2 - radius[ball] ** 2)
+    disparity_px[100:] = np.linspace(20, 45, 20)[:, None]  # the floor, nearer still, but not in the middle
+    focus = find_focus(disparity_px, np.ones_like(disparity_px), focus="auto")
+    assert 29.5 < focus.disparity_px < 33
+    assert ball[focus.y_px, focus.x_px]
+    assert abs(disparity_px[focus.y_px, focus.x_px] - focus.disparity_px) < 0.5
+
+
+def test_auto_takes_the_wall_where_nothing_large_stands_before_it() -> None:
+    disparity_px = np.full((120, 180), 6.0, np.float32)
+    disparity_px[:, 88:91] = 40.0  # a rod
+    disparity_px[80:, :30] = 30.0  # a box in the corner
+    focus = find_focus(disparity_px, np.ones_like(disparity_px), focus="auto")
+    assert focus == Focus(6.0, 91, 59)
+
+
+def test_auto_does_not_take_what_is_not_trusted(rng: np.random.Generator) -> None:
+    disparity_px = np.full((120, 180), 6.0, np.float32)
+    confidence = np.ones_like(disparity_px)
+    disparity_px[40:80, 60:120], confidence[40:80, 60:120] = rng.uniform(20, 40, (40, 60)), 0.2
+    focus = find_focus(disparity_px, confidence, focus="auto")
+    assert focus.disparity_px == 6.0
+    assert confidence[focus.y_px, focus.x_px] == 1
+
+
+def test_auto_finds_the_subject_of_simulated_still_lifes(tmp_path: Path) -> None:
+    """Where most of the middle of the photo stands clearly before the wall, the wall is not what is sharp."""
+    n_judged = 0
+    for folder in write_captures(tmp_path, count=4, seed=2, hw=(128, 192)):
+        truth_px = read_pfm(folder / "truth.pfm")
+        middle_px = truth_px[50:78, 76:116]
+        wall_px, nearest_px = np.nanpercentile(truth_px, (1, 99))
+        before_px = wall_px + 0.25 * (nearest_px - wall_px)
+        if np.nanmean(middle_px > before_px) < 0.6:
+            continue
+        n_judged += 1
+        focus = find_focus(truth_px, np.ones_like(truth_px), focus="auto")
+        assert focus.disparity_px > before_px
+    assert n_judged >= 2
+
+
+def test_the_place_lies_on_the_plane_of_focus(scene_px: np.ndarray) -> None:
+    confidence = np.ones_like(scene_px)
+    for word in ("auto", "near", "far", "20,10", "150,100"):
+        focus = find_focus(scene_px, confidence, focus=word)
+        assert scene_px[focus.y_px, focus.x_px] == pytest.approx(focus.disparity_px, abs=0.5)
+    point = find_focus(scene_px, confidence, focus="150,100")
+    assert (point.x_px, point.y_px) == (150, 100)
+
+
+def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() -> None:
+    note = focus_note("000", Focus(12.34, 80, 60), depth_m=1.5, options=BokehOptions())
+    for words in ("000", "x 80, y 60", "1.50 m", "12.3 px", "--focus"):
+        assert words in note
+    pointed = focus_note("000", Focus(12.34, 80, 60), depth_m=None, options=BokehOptions(focus="80,60"))
+    assert " m away" not in pointed
+    assert "--focus" not in pointed
+
+
+@pytest.mark.parametrize(
+    ("std_m", "told"),
+    [
+        (None, ", 0.30 m away"),
+        (0.012, ", 0.30 ± 0.012 m away"),
+        (0.14, ", 0.30 ± 0.14 m away"),
+        (0.19, ", at a distance the rig hardly knows; --distance X,Y,M would tell"),
+        (float("nan"), ", at a distance the rig hardly knows; --distance X,Y,M would tell"),
+    ],
+)
+def test_how_sure_a_distance_is_stands_beside_it(std_m: float | None, told: str) -> None:
+    note = focus_note("000", Focus(12.34, 80, 60), depth_m=0.3, std_m=std_m, options=BokehOptions())
+    assert note.startswith(f"000: bokeh is focused on x 80, y 60{told}, disparity 12.3 px")

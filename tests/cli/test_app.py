@@ -1,0 +1,379 @@
+"""The command line as a program sees it: exit codes, what goes to which stream, what a message names."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from capture.roll import TELE, WIDE, exif_of, write_photo
+
+from telewide.capture.images import write_image
+from telewide.cli import main
+from telewide.cli.stopping import UNREAD
+from telewide.simulate.captures import write_captures
+
+COMMANDS = ("import", "board", "calibrate", "show", "train", "depth", "run", "simulate")
+
+
+def run_cli(*words: str) -> int:
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    return int(left.value.code or 0)
+
+
+@pytest.fixture
+def captures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two tiny captures in the folder the commands take by themselves."""
+    write_captures(tmp_path / "captures", count=2, seed=5, hw=(96, 144), factor=2)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "captures"
+
+
+def state(captures: Path, **facts: object) -> None:
+    path = captures / "captures.yaml"
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **facts}))
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str, code: int, names: tuple[str, ...]) -> None:
+    """The command ends with a code, says the names on standard error, and nothing on standard output."""
+    assert run_cli(*words) == code
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert [name for name in names if name not in told.err] == []
+    assert "Traceback" not in told.err
+
+
+def test_help_names_every_command_and_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("--help") == 0
+    told = capsys.readouterr().out
+    assert [command for command in COMMANDS if command not in told] == []
+    assert "Example" in told
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_a_command_shows_an_example_that_parses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli(command, "--help") == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"Example: telewide {command}" in told
+    options = re.findall(r"--[a-z-]+", told[told.index("Example:") :])
+    listed = told[: told.index("Example:")]
+    assert [option for option in options if option not in listed] == []
+
+
+def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("--version") == 0
+    assert capsys.readouterr().out.strip() == metadata.version("telewide")
+
+
+def test_as_a_program_without_a_terminal_or_colour() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "telewide", "depth", "nowhere", "--json"],
+        capture_output=True,
+        text=True,
+        env={"NO_COLOR": "1", "TERM": "dumb", "PATH": ""},
+        check=False,
+    )
+    assert done.returncode == 2
+    assert json.loads(done.stdout)["exit_code"] == 2
+    assert "\x1b" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", ["train", "depth", "run"])
+def test_captures_that_do_not_exist(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(capsys, command, "nowhere", code=2, names=("nowhere does not exist",))
+    refused(capsys, command, code=2, names=("captures does not exist",))
+
+
+@pytest.mark.parametrize("words", [("train",), ("depth",), ("depth", "--method", "sgm"), ("run",)])
+def test_photos_straight_from_a_phone_are_calibrated_first(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, lens, second in (("T1", TELE, 0.0), ("W1", WIDE, 1.3)):
+        write_photo(tmp_path / "DCIM" / f"{name}.jpg", exif=exif_of(**lens, second=second))  # type: ignore[arg-type]
+    monkeypatch.chdir(tmp_path)
+    assert run_cli("import", "DCIM", "captures", "--quiet") == 0
+    names = (
+        "no rig.yaml",
+        "telewide calibrate boards/",
+        "telewide calibrate captures --from-scenes",
+        "rectified: true",
+    )
+    refused(capsys, *words, code=3, names=names)
+    assert not Path("run").exists()
+    Path("captures/captures.yaml").write_text("rectified: true\n")
+    assert run_cli(*words) != 0  # tiny photos, but they are looked at
+    assert "no rig.yaml" not in capsys.readouterr().err
+
+
+def test_pairs_without_matches_and_without_a_rig_are_sent_to_the_calibration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    for name in ("tele", "wide"):
+        write_image(tmp_path / "captures" / "one" / f"{name}.png", rng.random((120, 160, 3)).astype(np.float32))
+    monkeypatch.chdir(tmp_path)
+    names = ("telewide calibrate CAPTURES --from-scenes", "one: 0 consistent matches")
+    for words in (("depth", "--method", "sgm"), ("run", "--recipe", "quick")):
+        refused(capsys, *words, code=3, names=names)
+
+
+def test_unknown_recipe_names_the_nearest(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, "train", "--recipe", "quik", code=2, names=("quik", "did you mean quick?"))
+
+
+def test_unknown_setting_names_the_nearest_key(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("train", "--set", "train.rehearsal.step=3")
+    refused(capsys, *words, code=2, names=("train.rehearsal.step", "did you mean train.rehearsal.steps?"))
+
+
+def test_unknown_key_in_captures_yaml_names_the_nearest(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    state(captures, baseline_mm=10)
+    refused(capsys, "depth", "--method", "sgm", code=3, names=("baseline_mm", "baseline_m", "captures.yaml"))
+
+
+def test_depth_without_a_trained_run_says_how_to_get_one(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = ("no trained network", "telewide train captures ", "telewide depth captures --method sgm")
+    refused(capsys, "depth", code=2, names=names)
+    refused(capsys, "depth", "--run", "elsewhere", code=2, names=("telewide train captures --out elsewhere ",))
+    captures.rename("my pairs")
+    names = ("telewide train 'my pairs' ", "telewide depth 'my pairs' --method sgm")
+    refused(capsys, "depth", "my pairs", code=2, names=names)
+
+
+def test_depth_without_a_trained_run_is_refused_without_torch(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("torch", "telewide.matching.inference", "telewide.training.checkpoint"):
+        monkeypatch.setitem(sys.modules, name, None)
+    refused(capsys, "depth", code=2, names=("no trained network",))
+
+
+def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, "depth", "--weights", "no.safetensors", code=2, names=("no.safetensors",))
+    Path("odd.safetensors").write_bytes(b"something else")
+    refused(capsys, "depth", "--weights", "odd.safetensors", code=3, names=("odd.safetensors", "telewide train"))
+
+
+@pytest.mark.parametrize("words", [("depth", "--method", "sgm", "--bokeh"), ("run", "--recipe", "quick")])
+class TestBokehIsCheckedFirst:
+    def test_f_number_needs_the_baseline(
+        self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        names = ("baseline_m", "--strength")
+        refused(capsys, *words, "--f-number", "1.8", code=2, names=names)
+        assert not Path("run").exists()
+
+    def test_focus_outside_the_photo(
+        self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        refused(capsys, *words, "--focus", "144,10", code=2, names=("144,10", "144 x 96 px", "0 to 143"))
+        assert not Path("run").exists()
+
+    def test_focus_that_is_no_point(
+        self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        refused(capsys, *words, "--focus", "nearby", code=2, names=("nearby", "X,Y", "near", "far", "auto"))
+
+    def test_two_strengths(self, words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        both = ("--strength", "4", "--f-number", "2")
+        refused(capsys, *words, *both, code=2, names=("--f-number", "--strength"))
+        refused(capsys, *words, "--strength", "-1", code=2, names=("--strength", "above 0"))
+
+
+@pytest.mark.parametrize(
+    "words", [("train", "--device", "tpu"), ("depth", "--method", "magic"), ("depth", "--nonsense"), ("depht",)]
+)
+def test_words_that_mean_nothing(words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    refused(capsys, *words, code=2, names=(words[-1],))
+
+
+def test_missing_cuda(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("a CUDA device is here")
+    refused(capsys, "train", "--device", "cuda", code=5, names=("CUDA", "--device cpu"))
+
+
+def test_training_says_how_to_go_on_from_it(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from telewide.stages.train import TrainOutcome
+
+    done = TrainOutcome(Path("weights.safetensors"), False, {}, "feature-1")
+    monkeypatch.setattr("telewide.pipeline.train_captures", lambda *_, **__: done)
+    assert run_cli("train", "my captures", "--out", "my run", "--rig", "phone rig.yaml") == 0
+    advised = "next: telewide depth 'my captures' --run 'my run' --rig 'phone rig.yaml' --bokeh"
+    assert advised in capsys.readouterr().err.splitlines()
+    assert run_cli("train") == 0
+    assert "next: telewide depth --bokeh" in capsys.readouterr().err.splitlines()
+
+
+def test_our_own_fault_asks_for_a_report(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("telewide.pipeline.depth_captures", fails)
+    assert run_cli("depth", "--method", "sgm", "--json") == 1
+    told = capsys.readouterr()
+    assert "Traceback" in told.err
+    assert "please report" in told.err
+    assert json.loads(told.out)["exit_code"] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "unread_output", "unread_messages"),
+    [
+        (("--help",), UNREAD, 0),
+        (("--version",), UNREAD, 0),
+        (("depth", "nowhere"), 2, 2),
+        (("depth", "nowhere", "--json"), 2, 2),
+        (("depth", "--json", "--nonsense"), 2, 2),
+    ],
+)
+def test_a_pipe_that_nobody_reads(words: tuple[str, ...], unread_output: int, unread_messages: int) -> None:
+    """Never success where the answer is lost, never a fault of ours; a failure stays the failure it was."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    command = [sys.executable, "-m", "telewide", *words]
+    try:
+        done = subprocess.run(command, stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
+        assert (done.returncode, "Traceback" in done.stderr) == (unread_output, False)
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=write_end, text=True, check=False)
+        assert done.returncode == unread_messages
+        assert ("exit_code" in done.stdout) == ("--json" in words)
+    finally:
+        os.close(write_end)
+
+
+def test_stopping_by_hand(captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stops(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("telewide.pipeline.depth_captures", stops)
+    refused(capsys, "depth", "--method", "sgm", code=130, names=("run the same command to continue",))
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("depth", "nowhere", "--json"), 2),
+        (("train", "--json", "--recipe", "quik"), 2),
+        (("depth", "--json", "--nonsense"), 2),
+        (("depth", "--json", "--method", "sgm", "--strength", "wide"), 2),
+    ],
+)
+def test_json_is_one_object_on_errors(
+    words: tuple[str, ...], code: int, captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_cli(*words) == code
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["exit_code"] == code
+    assert answer["error"]
+    assert set(answer) == {"error", "hint", "exit_code"}
+
+
+@pytest.mark.parametrize(("rank", "objects"), [("0", 1), ("1", 0)])
+def test_of_several_processes_one_answers(
+    rank: str, objects: int, captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RANK", rank)
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    assert run_cli("depth", "nowhere", "--json") == 2
+    told = capsys.readouterr()
+    assert len(told.out.splitlines()) == objects
+    assert "nowhere does not exist" in told.err, "an error is said by whoever has it"
+
+
+def test_depth_by_its_defaults(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("depth", "--method", "sgm", "--json") == 0
+    told = capsys.readouterr()
+    answer = json.loads(told.out)
+    assert answer["folder"] == str(Path("run") / "depth")
+    assert [capture["name"] for capture in answer["captures"]] == ["000", "001"]
+    assert all(Path(file).is_file() for capture in answer["captures"] for file in capture["files"])
+    assert "NaN" not in told.out
+    assert "2 captures" in told.err
+
+
+def test_quiet_says_nothing_but_problems(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli("depth", "--method", "sgm", "--quiet") == 0
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert all(line.startswith("warning: 000: ") for line in told.err.splitlines())
+
+
+def test_a_bad_capture_is_said_and_skipped(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (captures / "000" / "tele.png").write_bytes(b"torn")
+    assert run_cli("depth", "--method", "sgm", "--json") == 0
+    told = capsys.readouterr()
+    assert "skipped: 000" in told.err
+    answer = json.loads(told.out)
+    assert [capture["name"] for capture in answer["captures"]] == ["001"]
+    assert [problem["name"] for problem in answer["problems"]] == ["000"]
+    (captures / "001" / "wide.png").write_bytes(b"torn too")
+    refused(capsys, "depth", "--method", "sgm", code=3, names=("000", "001"))
+
+
+def test_simulate_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "made"
+    words = ("simulate", str(out), "--captures", "1", "--width", "96", "--height", "96", "--factor", "1.5")
+    assert run_cli(*words) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert told == [f"wrote 1 capture to {out}", f"next: telewide train {out}"]
+    refused(capsys, "simulate", str(tmp_path / "none"), "--captures", "0", code=2, names=("captures is 0",))
+
+
+@pytest.mark.parametrize("world", ["pairs", "phone", "rooms"])
+def test_simulate_leaves_what_lies_in_a_folder_alone(
+    world: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine" / "000" / "tele.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_bytes(b"my photo")
+    words = ("simulate", str(tmp_path / "mine"), "--world", world, "--captures", "1")
+    refused(capsys, *words, code=2, names=(f"{tmp_path / 'mine'} is not empty", "name a folder"))
+    assert [path for path in (tmp_path / "mine").rglob("*") if path.is_file()] == [mine]
+    assert mine.read_bytes() == b"my photo"
+
+
+def test_simulate_fills_an_empty_folder(tmp_path: Path) -> None:
+    assert run_cli("simulate", str(tmp_path), "--captures", "1", "--width", "96", "--height", "96") == 0
+    assert (tmp_path / "000" / "truth.pfm").is_file()
+
+
+def test_a_place_that_cannot_be_a_folder_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_captures(tmp_path / "captures", count=1, hw=(96, 128))
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(SystemExit) as left:
+        main(["depth", str(tmp_path / "captures"), "--method", "sgm", "--out", str(tmp_path / "taken" / "depth")])
+    assert left.value.code == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_weights_that_nothing_would_read_are_refused(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("some.safetensors").touch()
+    words = ("depth", "--method", "sgm", "--weights", "some.safetensors")
+    refused(capsys, *words, code=2, names=("--method sgm", "--weights"))
+    assert not Path("run").exists()
+
+
+def test_bokeh_options_without_bokeh_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["depth", str(tmp_path), "--method", "sgm", "--focus", "near"])
+    assert left.value.code == 2
+    assert "--bokeh" in capsys.readouterr().err

@@ -1,0 +1,55 @@
+"""What a person sees at a console."""
+
+from __future__ import annotations
+
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from telewide.capture.pair import Capture, CaptureFacts
+from telewide.cli.progress import ConsoleObserver, captures_table
+from telewide.correction.verdict import PairReport, Verdict
+from telewide.points.held_out import HeldOut
+from telewide.stages.prepare import PreparedPair, PreparedSet, with_doubts
+
+NAN = math.nan
+
+
+def report_of(name: str, verdict: Verdict, *reasons: str) -> PairReport:
+    return PairReport(name, 9, NAN, NAN, NAN, None, (NAN, NAN, NAN), NAN, NAN, verdict, reasons)
+
+
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_a_doubt_about_a_capture_is_a_warning_and_never_kept_back(tmp_path: Path, *, is_quiet: bool) -> None:
+    capture = Capture("000", tmp_path, tmp_path)
+    report = report_of("000", "usable", "its matches lie 1.20 px off their rows")
+    pair = PreparedPair(capture, capture, report, 1.0, HeldOut(capture, np.zeros((0, 2)), np.zeros(0)))
+    console = Console(file=io.StringIO(), width=200)
+    prepared = PreparedSet((pair,), CaptureFacts(rectified=True), (0, 32), ())
+    ConsoleObserver(console, is_quiet=is_quiet).set_prepared(prepared)
+    assert isinstance(console.file, io.StringIO)
+    told = console.file.getvalue()
+    assert "warning: 000: its matches lie 1.20 px off their rows\n" in told
+    assert "usable" not in told
+    assert is_quiet == (len(told.splitlines()) == 1)
+
+
+@pytest.mark.parametrize(("before", "after"), [("good", "usable"), ("usable", "usable"), ("doubtful", "doubtful")])
+def test_doubts_of_the_shot_stand_beside_those_of_the_pair(before: Verdict, after: Verdict) -> None:
+    own = () if before == "good" else ("few matches",)
+    report = with_doubts(report_of("000", before, *own), ("the rig is kept",))
+    assert (report.verdict, report.reasons) == (after, (*own, "the rig is kept"))
+    assert with_doubts(report_of("000", before, *own), ()) == report_of("000", before, *own)
+
+
+def test_the_table_names_captures_as_they_are_called() -> None:
+    report = report_of("beach[red]", "doubtful")
+    told = Console(file=io.StringIO(), width=200)
+    told.print(captures_table([report]))
+    assert isinstance(told.file, io.StringIO)
+    cells = told.file.getvalue().splitlines()[1].split()
+    assert (cells[0], cells[1], cells[-1]) == ("beach[red]", "9", "doubtful")

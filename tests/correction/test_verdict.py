@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from telewide.capture.facts import CaptureFacts
+from telewide.capture.layout import find_captures
+from telewide.capture.pair import RectifiedPair, read_pair
+from telewide.correction.verdict import PairReport, correct_pair, disparity_window, inspect_pair
+from telewide.errors import InputError
+from telewide.simulate.layers import RenderedPair
+
+FloatImage = NDArray[np.float32]
+FACTS = CaptureFacts(asymmetry=3.0, rectified=True)
+SILENT = CaptureFacts()
+
+
+@pytest.fixture
+def pair(world: RenderedPair, wide_src: FloatImage) -> RectifiedPair:
+    return RectifiedPair("box", world.ref, wide_src)
+
+
+def swapped(pair: RectifiedPair) -> RectifiedPair:
+    return RectifiedPair(pair.name, pair.wide, pair.tele)
+
+
+def test_a_good_pair_is_called_good(pair: RectifiedPair) -> None:
+    report = inspect_pair(pair, facts=FACTS)
+    assert report.verdict == "good"
+    assert report.reasons == ()
+    assert report.n_matches > 80
+    assert report.asymmetry == pytest.approx(3.0, rel=0.25)
+    assert report.vertical_offset_px == pytest.approx(-1.2, abs=0.2)
+    assert report.vertical_slope == pytest.approx(-0.006, abs=0.0015)
+    assert 7 < report.disparity_p02_px < 10
+    assert 20 < report.disparity_p98_px < 25
+    np.testing.assert_allclose(report.colour_ratio, 1 / np.array([0.85, 0.95, 1.05]), atol=0.03)
+
+
+def test_swapped_views_are_doubted(pair: RectifiedPair) -> None:
+    report = inspect_pair(swapped(pair), facts=SILENT)
+    assert report.verdict == "doubtful"
+    assert "swapped" in report.reasons[0]
+    assert report.asymmetry is not None
+    assert report.asymmetry < 0.5
+
+
+def test_swapped_views_are_refused_where_the_facts_contradict(pair: RectifiedPair) -> None:
+    report = inspect_pair(swapped(pair), facts=FACTS)
+    assert report.verdict == "refused"
+    assert "captures.yaml" in report.reasons[0]
+
+
+def test_equally_sharp_views_are_no_reason(world: RenderedPair) -> None:
+    assert inspect_pair(RectifiedPair("equal", world.ref, world.src), facts=SILENT).verdict == "good"
+
+
+def test_another_asymmetry_than_stated_is_said(world: RenderedPair) -> None:
+    report = inspect_pair(RectifiedPair("equal", world.ref, world.src), facts=FACTS)
+    assert report.verdict == "usable"
+    assert "asymmetry of 3" in report.reasons[0]
+
+
+def test_two_scenes_are_doubted(pair: RectifiedPair, rng: np.random.Generator) -> None:
+    noise = cv2.GaussianBlur(rng.random(pair.wide.shape, dtype=np.float32), (0, 0), 2.0)
+    report = inspect_pair(dataclasses.replace(pair, wide=noise), facts=FACTS)
+    assert report.verdict == "doubtful"
+    assert "no common scene" in report.reasons[0]
+    assert np.isnan(report.disparity_p02_px)
+
+
+def test_a_view_without_texture_is_doubted(pair: RectifiedPair) -> None:
+    report = inspect_pair(dataclasses.replace(pair, wide=np.full_like(pair.wide, 0.3)), facts=FACTS)
+    assert report.verdict == "doubtful"
+    assert report.asymmetry is None
+
+
+@pytest.mark.parametrize("shift_px", [-40, 55])
+def test_rows_far_apart_are_refused_with_the_distance(pair: RectifiedPair, shift_px: int) -> None:
+    report = inspect_pair(dataclasses.replace(pair, wide=np.roll(pair.wide, shift_px, axis=0)), facts=SILENT)
+    assert report.verdict == "refused"
+    words = next(r for r in report.reasons if "px apart" in r).split()
+    assert float(words[words.index("rows") + 1]) == pytest.approx(-shift_px, abs=4)
+
+
+def test_a_turned_view_is_refused(pair: RectifiedPair) -> None:
+    report = inspect_pair(dataclasses.replace(pair, wide=pair.wide[::-1, ::-1].copy()), facts=SILENT)
+    assert report.verdict == "refused"
+    assert any("turned by" in r and "180" in r for r in report.reasons)
+
+
+def test_views_of_two_scales_are_refused(world: RenderedPair) -> None:
+    height, width = world.ref.shape[:2]
+    crop = world.ref[height // 4 : -height // 4, width // 4 : -width // 4]
+    enlarged = cv2.resize(crop, (width, height), interpolation=cv2.INTER_CUBIC)
+    uncropped = inspect_pair(RectifiedPair("uncropped", enlarged, world.src), facts=SILENT)
+    assert uncropped.verdict == "refused"
+    assert any("larger in tele" in r for r in uncropped.reasons)
+    confused = inspect_pair(RectifiedPair("confused", world.src, enlarged), facts=SILENT)
+    assert any("larger in wide" in r for r in confused.reasons)
+
+
+def test_stated_as_unrectified_and_nothing_to_tell_otherwise(pair: RectifiedPair) -> None:
+    flat = dataclasses.replace(pair, wide=np.full_like(pair.wide, 0.3))
+    assert inspect_pair(flat, facts=CaptureFacts(rectified=False)).verdict == "refused"
+
+
+def test_correction_brings_rows_and_colours_together(pair: RectifiedPair) -> None:
+    corrected = correct_pair(pair)
+    assert corrected.pair.tele is pair.tele
+    assert corrected.vertical.is_fitted
+    assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.3
+    assert corrected.colour.delta_after < 0.3 * corrected.colour.delta_before
+    report = inspect_pair(corrected.pair, facts=FACTS)
+    assert report.vertical_residual_px < 0.3
+    np.testing.assert_allclose(report.colour_ratio, 1.0, atol=0.02)
+
+
+def test_correction_leaves_an_equal_pair_alone(world: RenderedPair) -> None:
+    corrected = correct_pair(RectifiedPair("equal", world.ref, world.src))
+    assert corrected.pair.wide is world.src
+
+
+def test_correction_leaves_a_hopeless_pair_alone(pair: RectifiedPair) -> None:
+    flat = dataclasses.replace(pair, wide=np.full_like(pair.wide, 0.3))
+    corrected = correct_pair(flat)
+    assert corrected.pair.wide is flat.wide
+    assert len(corrected.matches_held_out) == 0
+
+
+def report_of(*, p02_px: float, p98_px: float, n: int = 100, verdict: str = "good") -> PairReport:
+    nan = float("nan")
+    return PairReport("x", n, nan, nan, nan, None, (nan, nan, nan), p02_px, p98_px, verdict, ())  # type: ignore[arg-type]
+
+
+def test_the_window_covers_every_pair_with_a_margin() -> None:
+    low, high = disparity_window([report_of(p02_px=18, p98_px=26), report_of(p02_px=11, p98_px=35)])
+    assert low <= 11 - 4
+    assert high >= 35 + 4
+    assert low % 4 == high % 4 == 0
+
+
+@pytest.mark.parametrize("centre_px", [-50.0, 0.0, 3.0])
+def test_the_window_is_wide_enough_and_of_any_sign(centre_px: float) -> None:
+    low, high = disparity_window([report_of(p02_px=centre_px - 1, p98_px=centre_px + 1)], step_px=8)
+    assert low < centre_px < high
+    assert high - low >= 32
+    assert low % 8 == high % 8 == 0
+
+
+def test_pairs_that_tell_nothing_have_no_say() -> None:
+    nan = float("nan")
+    reports = [
+        report_of(p02_px=10, p98_px=20),
+        report_of(p02_px=-300, p98_px=300, verdict="refused"),
+        report_of(p02_px=-200, p98_px=-100, n=5),
+        report_of(p02_px=nan, p98_px=nan, n=0),
+    ]
+    assert disparity_window(reports) == disparity_window(reports[:1])
+    with pytest.raises(InputError, match="none of the 3 pairs"):
+        disparity_window(reports[1:])
+
+
+@pytest.mark.parametrize("name", ["10", "27"])
+def test_correction_lessens_the_misfit_of_phone_pairs(data_root: Path, name: str) -> None:
+    captures = find_captures(data_root / "p30")
+    capture = next(c for c in captures.captures if c.name == name)
+    corrected = correct_pair(read_pair(capture, facts=captures.facts))
+    assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.45
+    assert corrected.vertical.residual_before_px > 0.5
+    assert corrected.colour.delta_after < 0.5 * corrected.colour.delta_before
+
+
+def test_swapped_views_are_refused_where_exif_contradicts(pair: RectifiedPair) -> None:
+    refused = inspect_pair(swapped(pair), facts=SILENT, focal_lengths_mm=(4.2, 9.0))
+    assert refused.verdict == "refused"
+    assert "4.2 mm for tele" in refused.reasons[-1]
+    assert inspect_pair(swapped(pair), facts=SILENT, focal_lengths_mm=(9.0, 4.2)).verdict == "doubtful"

@@ -1,0 +1,76 @@
+"""What is told of a capture's metres: what a known distance changed, and where they are hardly known."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig_worlds import phone_rig
+
+from telewide.depth.pin import KnownDistance, focused_at, pin_distance
+from telewide.depth.precision import DepthPrecision
+from telewide.depth.precision_notes import hardly_known_notes, pinned_shot
+from telewide.depth.result import DepthResult
+from telewide.geometry.rectification import rectified_geometry
+from telewide.geometry.stereo import DisparityMap
+
+RIG = phone_rig()
+GEOMETRY = rectified_geometry(RIG, working_width_px=800)
+KNOWN = KnownDistance(800.0, 600.0, 0.79)
+SHIFT_PX = 24.0  # of the tele photo
+SEEN_PX = np.full(GEOMETRY.hw, 70.0, np.float32)
+
+
+def metres_by_the_rig() -> float:
+    """What the rig's own zero of disparity makes of the point: its correction is what is missing."""
+    pin = pin_distance(SEEN_PX, KNOWN, geometry=GEOMETRY)
+    return KNOWN.distance_m * (1 + pin.correction_px / (float(SEEN_PX[0, 0]) + GEOMETRY.doffs_px))
+
+
+@pytest.mark.parametrize("known", [KNOWN, focused_at(0.79, hw=RIG.tele.hw)])
+def test_a_known_distance_says_what_it_changed(known: KnownDistance) -> None:
+    precision = DepthPrecision(lens_shift_std_px=SHIFT_PX)
+    pinned = pinned_shot("000", SEEN_PX, known, geometry=GEOMETRY, precision=precision)
+    (note,) = pinned.notes
+    assert note.startswith(f"000: x {known.x_px:.0f}, y {known.y_px:.0f} is taken to be 0.79 m away")
+    assert ("EXIF" in note) == known.is_focus
+    by_rig = re.search(r"the rig alone said ([0-9.]+) ± ([0-9.]+) m", note)
+    assert by_rig
+    alone_m, std_m = (float(number) for number in by_rig.groups())
+    assert alone_m == pytest.approx(metres_by_the_rig(), abs=0.006)
+    r = SHIFT_PX * alone_m / (RIG.tele.f_px * RIG.baseline_m)
+    assert std_m == pytest.approx(alone_m * r * np.sqrt(1 + 8 * r**2), rel=0.05)
+    moved_px = (pinned.geometry.doffs_px - GEOMETRY.doffs_px) / GEOMETRY.scale
+    assert f"moved by {moved_px:+.1f} px" in note
+
+
+def test_a_point_beyond_infinity_has_no_metres_by_the_rig() -> None:
+    behind_px = np.full(GEOMETRY.hw, -GEOMETRY.doffs_px - 2, np.float32)
+    (note,) = pinned_shot("000", behind_px, KNOWN, geometry=GEOMETRY, precision=DepthPrecision(0, 0, SHIFT_PX)).notes
+    assert "the rig alone said that it is beyond infinity" in note
+
+
+def test_the_scale_that_a_known_distance_gives_is_told() -> None:
+    relative = replace(GEOMETRY, rig=replace(RIG, is_scale_known=False))
+    pinned = pinned_shot("000", SEEN_PX, KNOWN, geometry=relative, precision=DepthPrecision())
+    assert f"its lenses are {pinned.geometry.rig.baseline_m * 1e3:.2f} mm apart" in pinned.notes[0]
+    assert pinned.geometry.rig.is_scale_known
+
+
+def test_without_a_known_distance_nothing_changes() -> None:
+    pinned = pinned_shot("000", SEEN_PX, None, geometry=GEOMETRY, precision=DepthPrecision())
+    assert (pinned.geometry, pinned.precision, pinned.notes) == (GEOMETRY, DepthPrecision(), ())
+
+
+@pytest.mark.parametrize(("share", "n_notes"), [(0.4, 0), (0.64, 1)])
+def test_depth_that_is_hardly_known_says_so_and_what_helps(share: float, n_notes: int) -> None:
+    depth_m = np.linspace(0.3, 3, 20, dtype=np.float32).reshape(4, 5)
+    depth_m[0, 0] = np.nan
+    disparity = DisparityMap(1 / depth_m, np.ones_like(depth_m), np.isfinite(depth_m))
+    result = DepthResult("000", disparity, depth_m=depth_m, depth_std_m=np.float32(share) * depth_m)
+    notes = hardly_known_notes(result)
+    assert len(notes) == n_notes
+    assert all(words in note for note in notes for words in ("000", "64%", "--distance", "board"))
+    assert hardly_known_notes(replace(result, depth_std_m=None)) == ()

@@ -1,0 +1,68 @@
+"""What the report page of a run advises to do next: commands that can be pasted into a shell."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from telewide.capture.images import write_image
+from telewide.capture.pair import PhotoPair
+from telewide.capture.rundir import RunFolder
+from telewide.cli import main
+from telewide.depth.export import write_depth
+from telewide.depth.result import DepthResult
+from telewide.geometry.stereo import DisparityMap
+from telewide.pages.run_page import next_steps, report_row
+from telewide.recipe import Recipe, load_recipe
+
+RIG = Path("my rigs/phone.yaml")
+
+
+def commands(recipe: Recipe, *, rig: Path | None) -> dict[str, list[str]]:
+    """The words of each command, by its subcommand and captures."""
+    steps = next_steps(RunFolder(Path("my run")), recipe=recipe, captures=Path("my captures"), rig=rig)
+    words = [shlex.split(step.command) for step in steps]
+    assert all(word[0] == "telewide" for word in words)
+    return {" ".join(word[1:3]): word[1:] for word in words}
+
+
+@pytest.mark.parametrize("rig", [None, RIG])
+def test_the_same_captures_keep_their_rig(rig: Path | None) -> None:
+    asked = commands(load_recipe("quick"), rig=rig)
+    for words in (asked["run my captures"], asked["depth my captures"]):
+        assert (words[words.index("--rig") + 1] == str(RIG)) if rig else ("--rig" not in words)
+    assert "--rig" not in asked["run my-captures/"], "own photos have lenses of their own"
+    assert asked["depth my captures"][2:4] == ["--run", "my run"]
+
+
+def test_every_command_is_one_the_program_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in commands(load_recipe("quick"), rig=RIG).values():
+        with pytest.raises(SystemExit) as left:
+            main(words)
+        assert left.value.code == 2
+        assert f"{Path(words[1])} does not exist" in capsys.readouterr().err
+
+
+def test_a_longer_training_is_advised_where_there_is_one() -> None:
+    assert "run my captures" in commands(load_recipe("quick"), rig=None)
+    assert "run my captures" not in commands(load_recipe("default", seed=5), rig=None)
+
+
+@pytest.mark.parametrize(("rotated_deg", "wh"), [(0, (80, 60)), (90, (60, 80))])
+def test_all_pictures_of_a_capture_stand_alike(
+    tmp_path: Path, rng: np.random.Generator, rotated_deg: int, wh: tuple[int, int]
+) -> None:
+    photo = rng.random((60, 80, 3)).astype(np.float32)
+    one = np.ones(photo.shape[:2], np.float32)
+    result = DepthResult("one", DisparityMap(one, one, one > 0), rotated_deg=rotated_deg)
+    write_depth(tmp_path / "one", result, image=photo)
+    write_image(tmp_path / "one" / "bokeh.jpg", photo, shown_turned_deg=rotated_deg)
+    pair = PhotoPair("one", photo, photo)
+    row = report_row(pair, tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=rotated_deg)
+    assert [picture.wh for picture in row.pictures] == [wh] * 4

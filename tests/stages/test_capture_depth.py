@@ -1,0 +1,130 @@
+"""One capture from its photos to its files: a given match, and what is made of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageOps
+from rig_worlds import phone_rig
+
+from telewide.bokeh.picture import BokehOptions, bokeh_picture
+from telewide.capture.images import read_image, write_image
+from telewide.capture.pair import Capture, CaptureFacts
+from telewide.depth.pin import KnownDistance
+from telewide.depth.precision import DepthPrecision
+from telewide.drawing import upright
+from telewide.errors import UsageError
+from telewide.geometry.rectification import rectified_geometry
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.points.held_out import HeldOut
+from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture, on_photo
+
+HW = (60, 80)
+FACTS = CaptureFacts(rectified=True)
+
+
+def stepped(_ref: FloatMap, _src: FloatMap) -> DisparityMap:
+    """Far on the left, near on the right."""
+    disparity_px = np.where(np.arange(HW[1]) < HW[1] // 2, 4.0, 12.0)[None].repeat(HW[0], axis=0).astype(np.float32)
+    return DisparityMap(disparity_px, np.ones(HW, np.float32), np.ones(HW, np.bool_))
+
+
+@pytest.fixture
+def capture(tmp_path: Path, rng: np.random.Generator) -> Capture:
+    paths = [tmp_path / "captures" / "one" / f"{view}.png" for view in ("tele", "wide")]
+    for path in paths:
+        write_image(path, rng.random((*HW, 3)).astype(np.float32))
+    return Capture("one", *paths)
+
+
+def made(capture: Capture, folder: Path, *, bokeh: BokehOptions, facts: CaptureFacts = FACTS) -> DepthOutcome:
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    key = {"bokeh": vars(bokeh), "baseline_m": facts.baseline_m}
+    outcome = depth_of_capture(capture, held_out, folder, facts=facts, match=stepped, bokeh=bokeh, key=key)
+    assert isinstance(outcome, DepthOutcome)
+    return outcome
+
+
+def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_path: Path) -> None:
+    strong, wide_open = BokehOptions(strength_px=3.0), BokehOptions(f_number=1.8)
+    picture = tmp_path / "run" / "bokeh.jpg"
+    assert picture in made(capture, tmp_path / "run", bokeh=strong).paths
+    outcome = made(capture, tmp_path / "run", bokeh=wide_open)
+    assert not picture.exists()
+    assert picture not in outcome.paths
+    assert any("--f-number" in note and "--strength" in note for note in outcome.notes)
+    known = CaptureFacts(rectified=True, baseline_m=0.012)
+    assert picture in made(capture, tmp_path / "run", bokeh=wide_open, facts=known).paths
+    disparity = stepped(np.zeros(HW), np.zeros(HW))
+    with pytest.raises(UsageError, match="--strength"):
+        bokeh_picture(np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
+
+
+@pytest.mark.parametrize("rotated_deg", [0, 90, 180, 270])
+def test_viewers_turn_the_bokeh_as_the_preview_is_turned(capture: Capture, tmp_path: Path, rotated_deg: int) -> None:
+    y, x = np.mgrid[: HW[0], : HW[1]] / HW[1]
+    photo = np.stack([x, y, 0.5 + 0 * x], axis=-1).astype(np.float32)
+    write_image(capture.tele_path, photo)
+    facts = CaptureFacts(rectified=True, rotated_deg=rotated_deg)  # type: ignore[arg-type]
+    made(capture, tmp_path, bokeh=BokehOptions(strength_px=1.0), facts=facts)
+    with Image.open(tmp_path / "bokeh.jpg") as picture:
+        stored, shown = (np.asarray(view) / 255 for view in (picture, ImageOps.exif_transpose(picture)))
+    np.testing.assert_allclose(stored, photo, atol=0.06)
+    np.testing.assert_allclose(shown, upright(photo, rotated_deg=rotated_deg), atol=0.06)
+    np.testing.assert_allclose(read_image(tmp_path / "bokeh.jpg"), shown, atol=0.02)
+
+
+def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Capture, tmp_path: Path) -> None:
+    geometry = rectified_geometry(phone_rig(width_px=HW[1]))
+    seen_px = np.full(geometry.hw, 5.0, np.float32)
+    seen = DisparityMap(seen_px, np.ones_like(seen_px), seen_px > 0)
+
+    def notes(known: KnownDistance | None) -> str:
+        outcome = depth_of_capture(
+            capture,
+            HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
+            tmp_path,
+            facts=CaptureFacts(),
+            match=lambda _ref, _src: seen,
+            bokeh=BokehOptions(focus="40,30"),
+            key={"known": known is not None},
+            shot=ShotGeometry(geometry, DepthPrecision(lens_shift_std_px=4.0), known=known),
+        )
+        assert isinstance(outcome, DepthOutcome)
+        assert outcome.numbers["focus_std_m"] > 0
+        return "\n".join(outcome.notes)
+
+    unsure = notes(None)
+    assert "depth in metres is hardly known" in unsure
+    assert "at a distance the rig hardly knows" in unsure
+    pinned = notes(KnownDistance(40.0, 30.0, 0.79))
+    assert "taken to be 0.79 m away" in pinned
+    assert ", 0.79 ± 0.0" in pinned
+    assert "hardly" not in pinned
+
+
+def test_what_fails_leaves_earlier_results_alone(capture: Capture, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    made(capture, folder, bokeh=BokehOptions())
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert {"depth.json", "bokeh.jpg"} <= set(before)
+    truth_path = tmp_path / "captures" / "one" / "truth.pfm"
+    truth_path.write_bytes(b"torn")
+    torn = dataclasses.replace(capture, truth_path=truth_path)
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    failed = depth_of_capture(torn, held_out, folder, facts=FACTS, match=stepped, bokeh=None, key={"truth": "torn"})
+    assert isinstance(failed, DepthFailure)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("width", [100, 201, 209])
+def test_confidence_and_validity_stay_with_their_disparity(width: int, rng: np.random.Generator) -> None:
+    disparity_px = np.tile(np.arange(HW[1], dtype=np.float32) / 100, (HW[0], 1))  # no jump: edges move nothing
+    working = DisparityMap(disparity_px, disparity_px, np.arange(HW[1])[None].repeat(HW[0], axis=0) % 2 == 0)
+    on = on_photo(working, rng.random((90, width, 3)).astype(np.float32))
+    column = np.rint(on.disparity_px * (HW[1] / width) * 100).astype(int)
+    np.testing.assert_array_equal(np.rint(on.confidence * 100).astype(int), column)
+    np.testing.assert_array_equal(on.valid, column % 2 == 0)

@@ -1,0 +1,109 @@
+"""Corrected pairs in the run folder: what is taken as it lies there, and what is made again."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import telewide.stages.prepare
+from telewide.capture.images import read_image, read_pfm
+from telewide.capture.pair import find_captures
+from telewide.capture.rundir import RunFolder
+from telewide.errors import InputError
+from telewide.recipe import load_recipe
+from telewide.simulate.captures import write_captures
+from telewide.stages.prepare import PreparedSet, prepare_captures, refuse_without_rig, write_labels
+from telewide.training.samples import labels_path
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated") / "captures"
+    write_captures(folder, count=2, seed=1, hw=(128, 192), factor=2)
+    return folder
+
+
+def prepared(captures: Path, run: Path, *settings: str) -> PreparedSet:
+    recipe = load_recipe("quick", settings=settings)
+    return prepare_captures(find_captures(captures), RunFolder(run), recipe=recipe)
+
+
+def test_a_stopped_preparation_vouches_for_nothing(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Made with colour correction, begun again without, stopped; asked for with it again, it is not the other's."""
+    run, asked = tmp_path / "run", ("correction.colour=true", "correction.vertical=true")
+    wide_path = prepared(captures, run, *asked).pairs[0].capture.wide_path
+    expected = read_image(wide_path)
+
+    def stop(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(telewide.stages.prepare, "fit_blur", stop)
+        with pytest.raises(KeyboardInterrupt):
+            prepared(captures, run, "correction.colour=false", "correction.vertical=false")
+    assert not np.array_equal(read_image(wide_path), expected), "the other kind was written before the stop"
+    prepared(captures, run, *asked)
+    assert np.array_equal(read_image(wide_path), expected)
+
+
+def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) -> None:
+    pairs = prepared(captures, tmp_path / "run")
+    folder = pairs.pairs[0].capture.tele_path.parent
+    for end_px in (8, 32):
+        write_labels(pairs, names=[pairs.pairs[0].capture.name], window=(0, end_px))
+    narrow_px, wide_px = (read_pfm(labels_path(folder, window_px=(0, end_px))) for end_px in (8, 32))
+    assert np.nanmax(narrow_px) <= 8
+    assert np.nanmax(wide_px) > 10
+
+
+def test_a_photo_that_cannot_be_read_leaves_the_others(captures: Path, tmp_path: Path) -> None:
+    found = find_captures(captures)
+    gone = found.captures[0].tele_path
+    kept = gone.read_bytes()
+    gone.unlink()
+    try:
+        pairs = prepare_captures(found, RunFolder(tmp_path / "run"), recipe=load_recipe("quick"))
+    finally:
+        gone.write_bytes(kept)
+    assert [item.capture.name for item in pairs.pairs] == [found.captures[1].name]
+    assert [problem.name for problem in pairs.problems] == [found.captures[0].name]
+
+
+def test_a_stated_window_that_cuts_disparities_off_is_told(captures: Path, tmp_path: Path) -> None:
+    wide, narrow = (prepared(captures, tmp_path / "run", f"window_px={window}") for window in ("[-32, 96]", "[0, 12]"))
+    assert wide.problems == ()
+    assert {problem.name for problem in narrow.problems} == {"000", "001"}
+    assert not any(problem.is_skipped for problem in narrow.problems)
+    assert all("window_px: [0, 12]" in problem.message for problem in narrow.problems)
+    assert len(narrow.pairs) == 2
+
+
+def test_what_was_searched_before_is_searched_again_and_what_new_pairs_need_besides(
+    captures: Path, tmp_path: Path
+) -> None:
+    measured = prepared(captures, tmp_path / "run")
+    first, end = measured.window
+    assert measured.window_with(None) == measured.window
+    assert measured.window_with((first + 4, first + 12)) == measured.window
+    assert measured.window_with((first - 40, end - 4)) == (first - 40, end)
+    assert prepared(captures, tmp_path / "run", "window_px=[0, 12]").window_with((0, 96)) == (0, 12)
+    report = dataclasses.replace(measured.pairs[0].report, n_matches=0)
+    blank = dataclasses.replace(measured, pairs=(dataclasses.replace(measured.pairs[0], report=report),))
+    assert blank.window_with((0, 32)) == (0, 32)
+    with pytest.raises(InputError):
+        blank.window_with(None)
+
+
+def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: Path) -> None:
+    found = find_captures(captures)
+    for rectified in (True, None):
+        stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=rectified))
+        refuse_without_rig(stated, rig=None)
+    stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=False))
+    with pytest.raises(InputError, match="states that the captures are not rectified"):
+        refuse_without_rig(stated, rig=None)

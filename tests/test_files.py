@@ -1,0 +1,162 @@
+"""What strangers hand over as YAML and JSON is read as plain data or refused with one message: nothing runs, nothing
+hangs, nothing grows beyond all measure.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from telewide.boards.board import load_board
+from telewide.calibration.rig_file import read_rig
+from telewide.capture.facts import read_facts
+from telewide.errors import InputError, TelewideError, UsageError
+from telewide.files import MAX_DEPTH, MAX_YAML_BYTES, parse_json, parse_yaml, read_json, read_regular, read_yaml
+from telewide.recipe import load_recipe
+
+
+def plain(text: str) -> object:
+    return parse_yaml(text, source="text", error=InputError)
+
+
+def bomb(*, link: str) -> str:
+    """Ten levels, each naming the one before nine times."""
+    lines = ["a0: &a0 {x: 1}"]
+    for level in range(1, 11):
+        inner = ", ".join([f"*a{level - 1}"] * 9)
+        lines.append(f"a{level}: &a{level} " + (f"[{inner}]" if link == "list" else f"{{<<: [{inner}], y: 1}}"))
+    return "\n".join(lines)
+
+
+SLIPS = {
+    "a number of 5000 digits": "a: " + "9" * 5000,
+    "a number of 65 bits": f"a: {1 << 64}",
+    "half a hexadecimal": "a: 0x_",
+    "no integer": "a: !!int abc",
+    "no boolean": "a: !!bool x",
+    "no float": "a: !!float x",
+    "no base64": "a: !!binary zzz!",
+    "a Python object": "a: !!python/object/apply:os.system [true]",
+    "a list that holds itself": "&a [*a]",
+    "a mapping that holds itself": "a: &a {b: *a}",
+    "brackets": "[" * 100_000,
+    "braces": "{a: " * 10_000,
+    "a bomb of aliases": bomb(link="list"),
+    "a bomb of merges": bomb(link="merge"),
+    "a chain of aliases": "- &a1 [x]\n" + "".join(f"- &a{i} [*a{i - 1}]\n" for i in range(2, 2000)),
+    "a list as key": "? [1]\n: 2",
+    "two documents": "--- a\n--- b",
+    "a null character": "a: \x00",
+    "a tab": "a:\n\t- x",
+}
+
+
+@pytest.mark.parametrize("text", SLIPS.values(), ids=SLIPS.keys())
+def test_a_slip_in_yaml_is_one_message(text: str) -> None:
+    begun_s = time.monotonic()
+    with pytest.raises(InputError, match=r"^text: ") as caught:
+        plain(text)
+    assert len(caught.value.message) < 200
+    assert time.monotonic() - begun_s < 10
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "captures.yaml": read_facts,
+    "rig.yaml": read_rig,
+    "recipe": lambda path: load_recipe(str(path)),
+    "board": lambda path: load_board(str(path)),
+    "--set": lambda path: load_recipe("quick", settings=[f"description={path.read_text()}"]),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("slip", ["half a hexadecimal", "a number of 5000 digits", "a bomb of aliases", "brackets"])
+def test_every_reader_of_yaml_refuses_it_alike(tmp_path: Path, reader: str, slip: str) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(SLIPS[slip])
+    with pytest.raises(TelewideError, match=r"YAML") as caught:
+        READERS[reader](path)
+    assert caught.value.exit_code == (2 if reader in {"recipe", "--set"} else 3)
+
+
+def test_dates_stay_texts() -> None:
+    assert plain("a: 2024-13-45\nb: 2024-01-05\nc: !!timestamp x") == {"a": "2024-13-45", "b": "2024-01-05", "c": "x"}
+
+
+def test_what_people_write_is_read() -> None:
+    text = "base: &b {x: 1, y: [1.5, 2e3, true]}\nown: {<<: *b, x: 2}\nsame: *b\nn: null\ns: 'é'"
+    base = {"x": 1, "y": [1.5, "2e3", True]}
+    assert plain(text) == {"base": base, "own": {**base, "x": 2}, "same": base, "n": None, "s": "é"}
+    assert plain("[" * MAX_DEPTH + "]" * MAX_DEPTH) is not None
+    assert plain("") is None
+
+
+@pytest.mark.parametrize("kind", ["pipe", "socket", "folder"])
+@pytest.mark.parametrize("reader", [read_yaml, read_json, read_regular, read_facts, read_rig])
+def test_only_regular_files_are_opened(tmp_path: Path, kind: str, reader: Callable[[Path], object]) -> None:
+    path = tmp_path / "x"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        server = socket.socket(socket.AF_UNIX)
+        server.bind(str(path))
+        server.close()
+    with pytest.raises(InputError, match=r"x (is a|cannot be read)"):
+        reader(path)
+
+
+def test_a_device_is_no_file() -> None:
+    with pytest.raises(InputError, match="/dev/zero is a pipe, a socket or a device"):
+        read_regular(Path("/dev/zero"))
+
+
+def test_a_file_that_is_not_there_is_a_usage_error(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="does not exist"):
+        read_yaml(tmp_path / "none.yaml")
+    (tmp_path / "dangling").symlink_to(tmp_path / "none")
+    with pytest.raises(UsageError, match="does not exist"):
+        read_json(tmp_path / "dangling")
+
+
+def test_yaml_that_is_too_large_is_not_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    path.write_bytes(b"#" * (MAX_YAML_BYTES + 1))
+    with pytest.raises(InputError, match="is larger than"):
+        read_yaml(path)
+    path.write_bytes(b"#" * MAX_YAML_BYTES)
+    assert read_yaml(path) is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[" * 100_000, '{"a": ' * 50_000, "Infinity", "[NaN]", "1e400", "1" + "0" * 400, str(1 << 63), '"\x00"'],
+)
+def test_json_that_cannot_be_used_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ValueError, match=r"."):
+        parse_json(text)
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"x\.json cannot be read as JSON"):
+        read_json(path)
+
+
+def test_json_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_bytes(b'"\xff\xfe"')
+    with pytest.raises(InputError, match="cannot be read as JSON"):
+        read_json(path)
+
+
+def test_json_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    content = {"a": [1, -2.5, (1 << 63) - 1, None, True, "é"], "b": {}}
+    path = tmp_path / "x.json"
+    path.write_text(json.dumps(content))
+    assert read_json(path) == content
