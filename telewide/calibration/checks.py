@@ -11,7 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.quality import SHARE, CalibrationQuality, Check, at_least, at_most, verdict_of
+from telewide.calibration.quality import (
+    SHARE,
+    CalibrationQuality,
+    Check,
+    at_least,
+    at_most,
+    larger_than_usual,
+    verdict_of,
+)
 from telewide.calibration.result import CameraStd, Lens, TransformStd, ViewResult
 from telewide.calibration.validation import GRID_HW, difference_px, tele_grid_px
 from telewide.geometry.rig import StereoRig
@@ -192,7 +200,7 @@ def _lens_checks(evidence: Evidence, lens: Lens) -> Iterator[Check]:
 
 def _figure_checks(evidence: Evidence, *, p90_px: float, cross_px: float) -> Iterator[Check]:
     # A corner can be placed to a part of a wide pixel, which spans several tele pixels.
-    tele_px = max(evidence.rig.asymmetry, 1.0)
+    tele_px = max(evidence.rig.asymmetry, 1.0) * larger_than_usual(evidence.rig.tele.hw)
     limits_px = (EPIPOLAR_WIDE_PX[0] * tele_px, EPIPOLAR_WIDE_PX[1] * tele_px)
     advice = (
         f"A tenth of the corners held out lie more than {p90_px:.2f} tele px off their line. Take more joint views, "

@@ -14,6 +14,7 @@ from typing import Literal
 Status = Literal["pass", "warn", "fail"]
 Verdict = Literal["good", "usable", "insufficient"]
 Bound = Literal["at least", "at most", ""]
+_USUAL_SIDE_PX = 4032
 SHARE = "share"
 """The unit of a value that is a share of something, and told in per cent."""
 
@@ -75,6 +76,14 @@ class CalibrationQuality:
     cross_validation_px: float
     checks: tuple[Check, ...]
     verdict: Verdict
+
+
+def larger_than_usual(hw: tuple[int, int]) -> float:
+    """Say how many times larger a photo is than those that limits in px are meant for, 12 megapixels; 1 for smaller.
+
+    Shake, focus and processing blur a share of the picture: 50 megapixels show the same error with twice the px.
+    """
+    return max(1.0, max(hw) / _USUAL_SIDE_PX)
 
 
 def verdict_of(checks: Sequence[Check]) -> Verdict:

@@ -13,7 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.calibration.quality import SHARE, CalibrationQuality, Check, Status, at_least, at_most, verdict_of
+from telewide.calibration.quality import (
+    SHARE,
+    CalibrationQuality,
+    Check,
+    Status,
+    at_least,
+    at_most,
+    larger_than_usual,
+    verdict_of,
+)
 from telewide.calibration.scene_rig import CONTRADICTIONS, SceneRig, SideSource
 from telewide.calibration.scene_solver import MIN_SCENES
 from telewide.calibration.validation import difference_px
@@ -37,7 +46,7 @@ _MISMATCH_WIDE_PX = 3.0
 _SCENES = (8, MIN_SCENES)
 _F_STD = (0.02, 0.1)
 _ERROR_WIDE_PX = (0.75, 2.5)
-_ZERO_PX = (1.0, math.inf)
+_ZERO_PX = 1.0
 _DEVIATIONS = "standard deviations"
 _BASELINE_STD = (0.01, 0.2)
 _SIDE_CHECKS: dict[SideSource, tuple[Status, str]] = {
@@ -86,8 +95,13 @@ def row_errors_px(matches: Matches, *, rig: StereoRig, seed: int = 0) -> FloatAr
 
 
 def is_match(errors_px: FloatArray, *, rig: StereoRig) -> NDArray[np.bool_]:
-    """(N,) which matches are no mismatches by their error: within three wide pixels of their row."""
-    return np.asarray(errors_px < _MISMATCH_WIDE_PX * max(rig.asymmetry, 1.0))
+    """(N,) which matches are no mismatches by their error: within three wide px of their row, as of 12 megapixels."""
+    return np.asarray(errors_px < _MISMATCH_WIDE_PX * _wide_px(rig))
+
+
+def _wide_px(rig: StereoRig) -> float:
+    """Tele px of one px of a wide photo of usual size: what errors are counted in."""
+    return max(rig.asymmetry, 1.0) * larger_than_usual(rig.tele.hw)
 
 
 def judge_scenes(evidence: SceneEvidence) -> CalibrationQuality:
@@ -160,8 +174,7 @@ def _capture_checks(evidence: SceneEvidence, *, p90_px: float, cross_px: float) 
     yield at_least("captures to check the rig by", n, limits, advice=advice, unit="captures")
     if evidence.halves is None:
         return
-    factor = max(whole.rig.asymmetry, 1.0)
-    limits_px = (_ERROR_WIDE_PX[0] * factor, _ERROR_WIDE_PX[1] * factor)
+    limits_px = (_ERROR_WIDE_PX[0] * _wide_px(whole.rig), _ERROR_WIDE_PX[1] * _wide_px(whole.rig))
     advice = (
         f"A tenth of the matches held out lie more than {p90_px:.2f} tele px off their row. Take more captures, both "
         "photos at the same moment, nothing moving."
@@ -203,7 +216,8 @@ def _unseen_checks(whole: SceneRig) -> Iterator[Check]:
         f"What is infinitely far is known to {whole.std.zero_px:.1f} px of disparity only, and every depth is as "
         "unsure: state a known distance with --distance, or photograph a board."
     )
-    yield at_most(ZERO_CHECK, whole.std.zero_px, _ZERO_PX, advice=advice, unit="tele px")
+    limits_px = (_ZERO_PX * larger_than_usual(whole.rig.tele.hw), math.inf)
+    yield at_most(ZERO_CHECK, whole.std.zero_px, limits_px, advice=advice, unit="tele px")
     if whole.side_source in _SIDE_CHECKS:
         status, advice = _SIDE_CHECKS[whole.side_source]
         yield Check("side of the wide lens", status, math.nan, math.nan, advice)

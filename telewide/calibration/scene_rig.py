@@ -14,6 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.calibration.quality import larger_than_usual
 from telewide.geometry.rig import StereoRig
 
 FloatArray = NDArray[np.float64]
@@ -132,7 +133,7 @@ def scene_notes(found: SceneRig) -> Iterator[str]:
             f"wide is taken to stand {place_words(found.wide_side)} tele, a guess: if near and far come out "
             "exchanged, it is the opposite; state it with --wide-side"
         )
-    if found.std.zero_px > 1.0:
+    if found.std.zero_px > larger_than_usual(found.rig.tele.hw):
         yield f"the zero of disparity is known to {found.std.zero_px:.0f} px only: pin it with a known distance"
     if found.rig.is_scale_known:
         yield (

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from telewide.geometry.camera import focal_px_from_f35
+
 RIG_TOLERANCE = 0.03
 """A rig and the matches of one pair that differ by more are not of one state of the lenses."""
 EXIF_TOLERANCE = 0.15
@@ -74,7 +76,7 @@ def factor_from_exif(
     tele_hw: tuple[int, int] | None,
     wide_hw: tuple[int, int] | None,
 ) -> float | None:
-    """Asymmetric factor from 35 mm equivalents: ``f_px = f35_mm * width_px / 36``, width being the longer side.
+    """Asymmetric factor from 35 mm equivalents; see `telewide.geometry.camera.focal_px_from_f35`.
 
     Args:
         tele_f35_mm: FocalLengthIn35mmFilm of tele.
@@ -87,7 +89,7 @@ def factor_from_exif(
     """
     if not tele_f35_mm or not wide_f35_mm or tele_hw is None or wide_hw is None:
         return None
-    return (tele_f35_mm * max(tele_hw)) / (wide_f35_mm * max(wide_hw))
+    return focal_px_from_f35(tele_f35_mm, hw=tele_hw) / focal_px_from_f35(wide_f35_mm, hw=wide_hw)
 
 
 def _first_known(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +43,6 @@ _BLOCKS_PER_WIDTH = 10
 _SIGMA_PER_HEIGHT = 0.00625
 _LEAST_SIGMA_PX = 3.0
 _LEAST_UNCLIPPED = 0.9
-_BLUR_PER_HEIGHT = 0.006
 
 
 @dataclass(frozen=True)
@@ -198,22 +196,21 @@ def delta_e(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(colour.difference.delta_E_CIE2000(labs[0], labs[1]), dtype=np.float64)
 
 
-def sample_colours(ref: FloatImage, src: FloatImage, matches: Matches) -> tuple[FloatArray, FloatArray]:
-    """Mean encoded colours of the neighbourhoods of matched points: (N, 3) of ref and (N, 3) of src."""
-    sigma_px = max(2.0, _BLUR_PER_HEIGHT * ref.shape[0])
-    sampled = []
-    for image, points_px in ((ref, matches.ref_px), (src, matches.src_px)):
-        blurred = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101)
-        at = np.clip(np.round(points_px).astype(np.intp), 0, (image.shape[1] - 1, image.shape[0] - 1))
-        sampled.append(blurred[at[:, 1], at[:, 0]].astype(np.float64).reshape(len(matches), 3))
-    return sampled[0], sampled[1]
+def light_ratio(ref: FloatImage, src: FloatImage, matches: Matches) -> tuple[float, float, float]:
+    """Ratio of the light of ref over that of src at matches, clipped patches left out; a stop is a factor of two.
 
+    Args:
+        ref: (H, W, 3) RGB in [0, 1].
+        src: the same shape.
+        matches: N matches.
 
-def colour_ratio(ref_colour: FloatArray, src_colour: FloatArray) -> tuple[float, float, float]:
-    """Ratio ref to src of the mean of each channel; NaN without points."""
-    if len(ref_colour) == 0:
+    Returns:
+        Ratios of the means of linear light of red, green and blue; NaN without a patch to compare.
+    """
+    samples = matched_colours(ref, src, matches)
+    if len(samples) == 0:
         return (float("nan"),) * 3
-    red, green, blue = ref_colour.mean(axis=0) / np.maximum(src_colour.mean(axis=0), 1e-6)
+    red, green, blue = samples.ref_light.mean(axis=0) / np.maximum(samples.src_light.mean(axis=0), 1e-6)
     return float(red), float(green), float(blue)
 
 

@@ -17,9 +17,8 @@ import numpy as np
 from telewide.correction.colour import (
     ColourFit,
     apply_colour,
-    colour_ratio,
     fit_colour,
-    sample_colours,
+    light_ratio,
 )
 from telewide.correction.rows import VerticalFit, apply_vertical, corrected_matches, fit_vertical
 from telewide.errors import InputError
@@ -60,7 +59,7 @@ class PairReport:
         vertical_slope: its growth with the row, px per px; NaN likewise.
         vertical_residual_px: median absolute vertical misfit as captured, px; NaN without matches.
         asymmetry: how many times finer tele resolves the scene, measured; None where the views have no texture.
-        colour_ratio: mean of tele over mean of wide at the matches, R G B; NaN without matches.
+        colour_ratio: light of tele over that of wide at the matches, R G B, linear; NaN without matches.
         disparity_p02_px: 2nd percentile of the matches' disparities; NaN without matches.
         disparity_p98_px: 98th percentile likewise.
         verdict: good; usable (something is corrected or scarce); doubtful (look at it); refused.
@@ -127,7 +126,7 @@ def inspect_pair(
     vertical = fit_vertical(found, hw=_hw(pair))
     asymmetry = estimate_asymmetry(pair.tele, pair.wide)
     overlap = None if len(found) > MIN_EVIDENCE_MATCHES else find_overlap(pair.tele, pair.wide)
-    ratio = colour_ratio(*sample_colours(pair.tele, pair.wide, found))
+    ratio = light_ratio(pair.tele, pair.wide, found)
     findings = [
         *_findings_of_scene(found, overlap),
         *_findings_of_rows(vertical, overlap, facts, height=pair.tele.shape[0]),
@@ -289,5 +288,8 @@ def _findings_of_sharpness(
 
 def _findings_of_colour(ratio: tuple[float, float, float]) -> list[_Finding]:
     if all(not _EVEN_COLOUR[0] <= r <= _EVEN_COLOUR[1] for r in ratio if np.isfinite(r)) and np.isfinite(ratio[0]):
-        return [_Finding("usable", "the views differ in brightness more than twofold")]
+        light = float(np.median(ratio))
+        which, times = ("tele", light) if light > 1 else ("wide", 1 / light)
+        told = f"the views differ in brightness more than twofold: {which} has {times:.1f} times the light"
+        return [_Finding("usable", told)]
     return []

@@ -7,10 +7,30 @@ Points are (x, y). Letters: N points; K the 3x3 camera matrix, px.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+
+
+_FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
+
+
+def focal_px_from_f35(f35_mm: float, *, hw: tuple[int, int]) -> float:
+    """Focal length from its 35 mm equivalent: ``f_px = f35 d_px / d_35``, d the diagonal (CIPA DCG-001).
+
+    By the longer side instead, photos of 4:3 and 16:9 would differ by 9 %.
+
+    Args:
+        f35_mm: focal length of equal field of view on 36 x 24 mm.
+        hw: size of the photo, px.
+
+    Returns:
+        px.
+    """
+    return f35_mm / _FULL_FRAME_DIAGONAL_MM * math.hypot(*hw)
 
 
 def scaled_points(points_px: FloatArray, *, scale_xy: tuple[float, float]) -> FloatArray:

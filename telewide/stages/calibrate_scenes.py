@@ -32,14 +32,15 @@ from telewide.calibration.scene_quality import (
 )
 from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, Side
 from telewide.calibration.scene_solver import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
-from telewide.capture.exif import common_pipeline, read_photo_facts
+from telewide.capture.exif import PhotoFacts, common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, Problem, find_captures
 from telewide.correction.rectify import rectify_pair
 from telewide.correction.refinement import fit_shot, refined_rig
 from telewide.counted import counted
-from telewide.errors import InputError, TelewideError
+from telewide.errors import InputError, TelewideError, UsageError
+from telewide.geometry.camera import focal_px_from_f35
 from telewide.geometry.rig import Camera
 from telewide.geometry.stereo import FloatMap
 from telewide.pages.report import NextStep
@@ -52,7 +53,6 @@ FloatArray = NDArray[np.float64]
 Hw = tuple[int, int]
 
 CAPTURES_FOLDER = Path("captures")
-_FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 _PREVIEW_WIDTH_PX = 1000
 
 
@@ -138,7 +138,11 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Calibra
     focal_mm = options.f35_mm or _stated_f35_mm(captures, found.captures)
     matched = _matched(found.captures, focal_mm=focal_mm, tick=observer.detecting(len(found.captures)))
     focal = _focal_prior(focal_mm, matched.sizes)
-    evidence = _solved(matched, focal=focal, options=options)
+    try:
+        evidence = _solved(matched, focal=focal, options=options)
+    except InputError as error:
+        told = "".join(f"\n  {line}" for line in (*problems, *matched.notes))
+        raise InputError(f"{error.message}{told}", hint=error.hint) from error
     facts = RigFacts(
         image_pipeline=pipeline,
         scale_verified=False,  # a distance that somebody states is not measured in these photos
@@ -157,7 +161,7 @@ def _spoken(problem: Problem) -> str:
 
 def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, float]:
     """Medians over all captures of what EXIF says."""
-    facts = [(read_photo_facts(each.tele_path), read_photo_facts(each.wide_path)) for each in captures]
+    facts = [_stated(capture) for capture in captures]
     stated = [[photo.f35_mm for photo in lens if photo.f35_mm is not None] for lens in zip(*facts, strict=True)]
     if not all(stated):
         raise InputError(
@@ -168,36 +172,47 @@ def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, fl
 
 
 def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick: Callable[[], None]) -> _Matched:
-    """Match all captures of the commonest photo sizes; notes on the others."""
-    sizes = [_sizes(capture) for capture in captures]
-    common = Counter(sizes).most_common(1)[0][0]
+    """Match all captures of the commonest photo sizes; notes on the others, and on photos that cannot be read."""
+    sizes = {capture.name: size for capture in captures if (size := _sizes(capture)) is not None}
+    if not sizes:
+        raise InputError(f"none of the {counted(len(captures), 'capture')} has two photos that can be read")
+    common = Counter(sizes.values()).most_common(1)[0][0]
     rig = first_rig(tele_hw=common[0], wide_hw=common[1], focal=_focal_prior(focal_mm, common))
     alike, scenes, notes = [], [], []
-    for capture, size in zip(captures, sizes, strict=True):
-        if size == common:
-            tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
-            alike.append(capture)
-            scenes.append(find_photo_matches(tele, wide, rig=rig))
-            if len(scenes[-1]) < MIN_SCENE_MATCHES:
-                notes.append(f"{capture.name}: {len(scenes[-1])} matches, too few for a say")
-        else:
-            notes.append(f"{capture.name}: photos of another size or held otherwise, left out")
-        tick()
+    for capture in captures:
+        try:
+            if sizes.get(capture.name, common) != common:
+                notes.append(f"left out: {capture.name}: photos of another size or held otherwise")
+                continue
+            scene = find_photo_matches(read_image(capture.tele_path), read_image(capture.wide_path), rig=rig)
+        except (InputError, UsageError) as error:
+            notes.append(f"left out: {capture.name}: {error.message}")
+            continue
+        finally:
+            tick()
+        alike.append(capture)
+        scenes.append(scene)
+        if len(scene) < MIN_SCENE_MATCHES:
+            notes.append(f"{capture.name}: {len(scene)} matches, too few for a say")
     return _Matched(tuple(alike), tuple(scenes), common, tuple(notes))
 
 
-def _sizes(capture: Capture) -> tuple[Hw, Hw]:
-    sizes = [read_photo_facts(path).hw for path in (capture.tele_path, capture.wide_path)]
-    if sizes[0] is None or sizes[1] is None:
-        raise InputError(f"{capture.name}: the size of its photos cannot be read")
-    return sizes[0], sizes[1]
+def _sizes(capture: Capture) -> tuple[Hw, Hw] | None:
+    """Sizes of the two photos; None where one cannot be read."""
+    tele, wide = _stated(capture)
+    return None if tele.hw is None or wide.hw is None else (tele.hw, wide.hw)
+
+
+def _stated(capture: Capture) -> tuple[PhotoFacts, PhotoFacts]:
+    """What the photos of a capture state; nothing where one cannot be read, which matching it says."""
+    try:
+        return read_photo_facts(capture.tele_path), read_photo_facts(capture.wide_path)
+    except (InputError, UsageError):
+        return PhotoFacts("unknown"), PhotoFacts("unknown")
 
 
 def _focal_prior(focal_mm: tuple[float, float], sizes: tuple[Hw, Hw]) -> FocalPrior:
-    """``f_px = f35 d_px / d_35``, d the diagonal (CIPA DCG-001)."""
-    tele, wide = (
-        f35_mm / _FULL_FRAME_DIAGONAL_MM * math.hypot(*hw) for f35_mm, hw in zip(focal_mm, sizes, strict=True)
-    )
+    tele, wide = (focal_px_from_f35(f35_mm, hw=hw) for f35_mm, hw in zip(focal_mm, sizes, strict=True))
     return FocalPrior(tele_f_px=tele, wide_f_px=wide)
 
 

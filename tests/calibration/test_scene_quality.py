@@ -63,6 +63,23 @@ def test_with_halves_that_agree_it_is_usable() -> None:
     assert check(evidence, "check the rig").status == "pass"
 
 
+@pytest.mark.parametrize("error_px", [0.5, 3.0, 12.0])
+def test_the_same_captures_with_more_pixels_are_judged_alike(error_px: float) -> None:
+    """12 and 50 megapixels of one sensor: errors have twice the px, and are no larger."""
+    verdicts = []
+    for width_px in (4032, 8064):
+        zoom = width_px / 4032
+        rig = phone_rig(has_distortion=False, width_px=width_px)
+        turned = moved_rig(rig, rotation_vector=np.array([0, 0, 0.001 * error_px]))
+        both = made(rig, zero_px=0.9 * zoom), made(turned, zero_px=0.9 * zoom)
+        errors_px = np.full(50, error_px * zoom)
+        assert is_match(errors_px, rig=rig).all() == (error_px < 9)
+        whole = replace(both[0], focal=FocalPrior(rig.tele.f_px, rig.wide.f_px))
+        quality = judge_scenes(SceneEvidence(whole, both, (errors_px,)))
+        verdicts.append({each.name: each.status for each in quality.checks})
+    assert verdicts[0] == verdicts[1]
+
+
 def test_halves_that_differ_are_told_but_not_for_the_zero_of_disparity() -> None:
     across = across_in_wide(RIG)
     K = RIG.wide.K.copy()

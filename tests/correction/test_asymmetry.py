@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from telewide.correction.asymmetry import compare_factors, factor_from_exif
@@ -30,4 +31,6 @@ def test_exif_counts_the_sizes_of_the_photos() -> None:
     assert same == pytest.approx(80 / 27)
     half = factor_from_exif(tele_f35_mm=80, wide_f35_mm=27, tele_hw=(3000, 4000), wide_hw=(1500, 2000))
     assert half == pytest.approx(2 * 80 / 27)
+    shapes = factor_from_exif(tele_f35_mm=80, wide_f35_mm=27, tele_hw=(3000, 4000), wide_hw=(2250, 4000))
+    assert shapes == pytest.approx(80 / 27 * np.hypot(3000, 4000) / np.hypot(2250, 4000))  # equivalents by the diagonal
     assert factor_from_exif(tele_f35_mm=None, wide_f35_mm=27, tele_hw=(3, 4), wide_hw=(3, 4)) is None

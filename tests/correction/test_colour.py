@@ -12,12 +12,11 @@ from telewide.capture.layout import find_captures
 from telewide.capture.pair import read_pair
 from telewide.correction.colour import (
     apply_colour,
-    colour_ratio,
     delta_e,
     fit_colour,
+    light_ratio,
     matched_colours,
     registered_colours,
-    sample_colours,
 )
 from telewide.correction.colour_model import (
     IDENTITY,
@@ -176,7 +175,16 @@ def test_matches_on_one_line_do_no_harm(world: RenderedPair) -> None:
 
 def test_no_match_has_no_ratio(world: RenderedPair) -> None:
     none = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    assert np.isnan(colour_ratio(*sample_colours(world.ref, world.src, none))).all()
+    assert np.isnan(light_ratio(world.ref, world.src, none)).all()
+
+
+@pytest.mark.parametrize("stops", [-2.0, -0.5, 1.0])
+def test_a_stop_is_a_factor_of_two_in_light(world: RenderedPair, matches: Matches, stops: float) -> None:
+    light = linear_from_srgb(world.src) * 0.45 * 2**stops
+    ref, src = srgb_from_linear(0.45 * linear_from_srgb(world.ref)), srgb_from_linear(np.clip(light, 0, 1))
+    np.testing.assert_allclose(
+        light_ratio(ref.astype(np.float32), src.astype(np.float32), matches), 2**-stops, rtol=0.04
+    )
 
 
 def test_samples_come_from_surfaces_that_both_views_see(world: RenderedPair, matches: Matches) -> None:

@@ -14,6 +14,7 @@ from telewide.capture.pair import RectifiedPair, read_pair
 from telewide.correction.verdict import PairReport, correct_pair, disparity_window, inspect_pair
 from telewide.errors import InputError
 from telewide.simulate.layers import RenderedPair
+from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FloatImage = NDArray[np.float32]
 FACTS = CaptureFacts(asymmetry=3.0, rectified=True)
@@ -39,7 +40,21 @@ def test_a_good_pair_is_called_good(pair: RectifiedPair) -> None:
     assert report.vertical_slope == pytest.approx(-0.006, abs=0.0015)
     assert 7 < report.disparity_p02_px < 10
     assert 20 < report.disparity_p98_px < 25
-    np.testing.assert_allclose(report.colour_ratio, 1 / np.array([0.85, 0.95, 1.05]), atol=0.03)
+    assert report.colour_ratio[0] > report.colour_ratio[1] > 1 > report.colour_ratio[2]
+
+
+@pytest.mark.parametrize(("stops", "is_said"), [(2.0, True), (1.2, True), (0.5, False), (-2.0, True)])
+def test_more_than_a_stop_between_the_views_is_said(pair: RectifiedPair, stops: float, *, is_said: bool) -> None:
+    light = 0.25 * linear_from_srgb(pair.tele)
+    dim = dataclasses.replace(
+        pair,
+        tele=srgb_from_linear(light).astype(np.float32),
+        wide=srgb_from_linear(np.clip(0.25 * linear_from_srgb(pair.wide) * 2**-stops, 0, 1)).astype(np.float32),
+    )
+    report = inspect_pair(dim, facts=FACTS)
+    told = [reason for reason in report.reasons if "brightness more than twofold" in reason]
+    assert len(told) == is_said
+    assert all(("tele" if stops > 0 else "wide") in reason for reason in told)
 
 
 def test_swapped_views_are_doubted(pair: RectifiedPair) -> None:

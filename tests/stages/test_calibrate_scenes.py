@@ -138,6 +138,23 @@ def test_a_crop_of_wide_has_no_say(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "digital crop of the wide lens" in told
 
 
+@pytest.mark.parametrize("share", [0.02, 0.9])
+def test_a_damaged_photo_leaves_the_other_captures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], share: float
+) -> None:
+    """Cut off in its header, or in its pixels; the others are noise, in which nothing matches."""
+    for name in ("one", "two", "three"):
+        for view, lens in (("tele", TELE), ("wide", WIDE)):
+            write_photo(tmp_path / name / f"{view}.jpg", wh=(96, 72), exif=exif_of(**lens))  # type: ignore[arg-type]
+    cut = tmp_path / "one" / "tele.jpg"
+    cut.write_bytes(cut.read_bytes()[: int(share * cut.stat().st_size)])
+    assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3
+    told = capsys.readouterr().err
+    assert "a rig without a board needs 3 captures with 40 matches, found 0" in told
+    assert f"left out: one: {cut}" in told
+    assert "two: 0 matches, too few for a say" in told
+
+
 def test_photos_made_in_two_ways_have_no_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, model in (("one", "Phone 1"), ("two", "Phone 2")):
         for view, lens in (("tele", TELE), ("wide", WIDE)):
