@@ -1,4 +1,8 @@
-"""Safe readers of files that come from other people: bytes, YAML, JSON.
+"""Files: written whole or not at all, read without harm.
+
+A file is written under a temporary name in its own folder, flushed to the disk, and renamed over the old one; a run cut
+off at any moment leaves the old file or the new one, never a piece. The temporary name says which process writes there:
+who writes into a folder next removes what killed ones have left.
 
 Only regular files are opened: a pipe would wait for ever, a device never ends. How large and how deeply nested a file
 may be is limited before it is parsed, and whatever goes wrong is one message that names the file.
@@ -6,11 +10,18 @@ may be is limited before it is parsed, and whatever goes wrong is one message th
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import io
 import json
 import math
 import os
+import platform
+import re
+import secrets
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
@@ -22,6 +33,8 @@ MAX_YAML_BYTES = 1 << 18
 MAX_JSON_BYTES = 1 << 26
 MAX_DEPTH = 40
 MAX_YAML_NODES = 50_000
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_TEMPORARY = re.compile(r"\.telewide-(?P<host>[0-9a-f]{8})-(?P<pid>[0-9]+)-[0-9a-f]{12}(\..*)?")
 _LARGEST_WHOLE = 1 << 63
 _MOST_SHOWN = 30
 _DATE, _TEXT = "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:str"
@@ -244,3 +257,119 @@ def _finite(digits: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{digits[:20]} is no finite number")
     return value
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Write a file so that it appears whole or not at all.
+
+    Creates the folder. The body writes to the path it is given, which has the suffix of `path`; when the body ends
+    well that file is flushed to the disk and renamed to `path`, when it fails it is removed and `path` stays as it was.
+
+    Args:
+        path: the file to write or to replace.
+
+    Yields:
+        The temporary path to write to, in the same folder.
+
+    Raises:
+        TelewideError: the disk is full.
+        UsageError: the place cannot be written.
+    """
+    temporary = path.with_name(f".telewide-{_host()}-{os.getpid()}-{secrets.token_hex(6)}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(path.parent)
+        yield temporary
+        _flush_to_disk(temporary)
+        temporary.replace(path)
+        _flush_folder(path.parent)
+    except OSError as error:
+        raise _write_error(path, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files of this machine's dead processes; those of living ones, and of others', stay."""
+    with suppress(OSError):  # tidying is not worth a failure
+        for entry in folder.iterdir():
+            name = _TEMPORARY.fullmatch(entry.name)
+            if name and name["host"] == _host() and not _is_running(int(name["pid"])):
+                entry.unlink(missing_ok=True)
+
+
+def _host() -> str:
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _is_running(pid: int) -> bool:
+    """Whether a process of this number lives, whoever's it is; in doubt it does."""
+    try:
+        if os.name != "nt":  # there signal 0 is Ctrl-C
+            os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's, or no number of a process
+        return True
+    return True
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in UTF-8, whole or not at all.
+
+    Args:
+        path: the file to write or to replace.
+        text: its new content.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def fingerprint(path: Path) -> str:
+    """Return the SHA-256 of a file's content.
+
+    Args:
+        path: the file.
+
+    Returns:
+        64 hexadecimal digits.
+
+    Raises:
+        UsageError: there is no such file, or it cannot be opened.
+    """
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def _flush_to_disk(path: Path) -> None:
+    # Windows flushes what is open for writing only; elsewhere a file may be read-only, as a link to a locked photo is.
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the rename itself durable; not every system lets a folder be opened, and the file is safe without it."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _write_error(path: Path, error: OSError) -> TelewideError:
+    reason = error.strerror or str(error)
+    if error.errno in _FULL:
+        return TelewideError(
+            f"{path} was not written: {reason}; an older file of that name is unchanged",
+            hint="free some space, or name another run folder, and run the command again",
+        )
+    return UsageError(f"{path} cannot be written: {reason}", hint="name a folder that can be written to")

@@ -23,12 +23,10 @@ from telewide.bokeh.picture import BokehOptions, check_bokeh
 from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
-from telewide.capture.rundir import RunFolder, fingerprint, locate_run, write_run_record
-from telewide.command_line import command_line
-from telewide.counted import counted
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.depth.precision import DepthPrecision
 from telewide.errors import InputError, UsageError
+from telewide.files import fingerprint
 from telewide.matching.window import Window, joined_window
 from telewide.options import parse_options
 from telewide.pages.run_page import report_row, write_page
@@ -38,6 +36,8 @@ from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeomet
 from telewide.stages.match import Matcher, choose_matcher
 from telewide.stages.observer import Observer
 from telewide.stages.prepare import RECORD_NAME, PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
+from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
+from telewide.text import command_line, counted
 from telewide.training.processes import Processes, joined_processes
 
 if TYPE_CHECKING:

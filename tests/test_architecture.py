@@ -18,13 +18,11 @@ LAYERS = {
     "errors": 0,
     "options": 0,
     "assets": 0,
-    "command_line": 0,
     "cores": 0,
-    "counted": 0,
     "files": 0,
-    "json_text": 0,
     "metrics": 0,
     "srgb": 0,
+    "text": 0,
     "geometry": 0,
     "capture": 1,
     "drawing": 1,
@@ -183,7 +181,7 @@ def test_torch_only_in_matching_and_training() -> None:
 
 
 def test_only_stages_and_above_know_the_run_folder() -> None:
-    knows = [m.name for m in modules() if any(name == "telewide.capture.rundir.RunFolder" for name, _ in imports(m))]
+    knows = [m.name for m in modules() if any(name == "telewide.stages.run_folder.RunFolder" for name, _ in imports(m))]
     assert [name for name in knows if (layer(name) or 0) < 7] == []
 
 

@@ -20,7 +20,6 @@ from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.images import read_image, read_pfm, write_image
 from telewide.capture.pair import Capture, find_captures
-from telewide.capture.rundir import RunFolder
 from telewide.cli import main
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
@@ -33,6 +32,7 @@ from telewide.simulate.captures import write_captures
 from telewide.stages.capture_depth import DepthOutcome, depth_of_capture
 from telewide.stages.kept_depth import KeptDepth, read_kept, write_kept
 from telewide.stages.prepare import prepare_captures
+from telewide.stages.run_folder import RunFolder
 from telewide.training.checkpoint import WeightsCard, save_weights
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide.benchmark.memory import SGM
-from telewide.capture.rundir import RunFolder
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
+from telewide.stages.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from telewide.matching.networks import StereoNetwork

@@ -18,13 +18,13 @@ from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import CaptureFacts, CaptureSet, RectifiedPair, find_captures, read_pair
-from telewide.capture.rundir import RunFolder
 from telewide.errors import UsageError
 from telewide.matching.window import Window, joined_window
 from telewide.points.held_out import match_errors_px, summarise_errors
 from telewide.recipe import Recipe
 from telewide.stages.align import locate_rig
 from telewide.stages.prepare import PreparedPair, prepare_captures, refuse_without_rig
+from telewide.stages.run_folder import RunFolder
 
 Errors = NDArray[np.float64]
 UNCORRECTED = "uncorrected"

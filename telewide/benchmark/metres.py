@@ -25,13 +25,13 @@ from telewide.boards.shots import detect_shots, find_board_shots
 from telewide.calibration.rig_file import RigFacts, write_rig
 from telewide.calibration.solver import calibrate_rig
 from telewide.capture.images import read_image, read_pfm
-from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
 from telewide.pipeline import DepthOptions, DepthRun, depth_captures, recipe_of_depth
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.simulate.phone import BOARD_SQUARE_M, write_phone
 from telewide.stages.observer import Observer
+from telewide.training.options import WEIGHTS_NAME
 
 Values = NDArray[np.float64]
 

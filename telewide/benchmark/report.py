@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
-from telewide.capture.rundir import write_text
 from telewide.cores import usable_cores
-from telewide.json_text import json_text
+from telewide.files import write_text
+from telewide.text import json_text
 
 FORMAT = 1
 _PACKAGES = ("telewide", "numpy", "opencv-contrib-python-headless", "scipy", "torch")

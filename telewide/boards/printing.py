@@ -13,8 +13,8 @@ import numpy as np
 from telewide.boards.board import PAPER_WH_M, Board, FloatArray
 from telewide.boards.pattern import black_rectangles_m
 from telewide.boards.pdf import Page, TextLine, pdf_from_page
-from telewide.capture.rundir import replacing
 from telewide.errors import UsageError
+from telewide.files import replacing
 
 RULER_M = 0.1
 _MARGIN_M = 0.008  # printers leave up to 6 mm of a sheet blank

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.result import Calibration, CameraStd, TransformStd
 from telewide.calibration.rig_sheet import CameraSheet, CameraStdSheet, CheckSheet, QualitySheet, RigSheet, RigStdSheet
-from telewide.capture.rundir import write_text
 from telewide.errors import InputError, UsageError
-from telewide.files import read_yaml
+from telewide.files import read_yaml, write_text
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.options import parse_options
 

@@ -28,9 +28,9 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import develop, show_as_srgb
-from telewide.capture.rundir import replacing
 from telewide.capture.sizes import MAX_PIXELS, check_size, halved, is_read_halved, say_halved
 from telewide.errors import InputError, TelewideError, UsageError
+from telewide.files import replacing
 
 if TYPE_CHECKING:
     import tifffile

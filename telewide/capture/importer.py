@@ -26,8 +26,8 @@ from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
 from telewide.capture.layout import TRUTH, VIEWS
 from telewide.capture.lens_choice import ChosenLenses, LensChoice
 from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
-from telewide.capture.rundir import replacing, write_text
 from telewide.errors import InputError, TelewideError, UsageError
+from telewide.files import replacing, write_text
 
 FORMAT = 1
 PAIR_FILE = "pair.json"

@@ -34,9 +34,8 @@ from telewide.cli.console import (
 from telewide.cli.import_roll import IMPORT_EPILOG, import_photos
 from telewide.cli.simulate import SIMULATE_EPILOG, simulate
 from telewide.cli.stopping import INTERRUPTED, UNREAD, terminable
-from telewide.command_line import command_line
-from telewide.counted import counted
 from telewide.errors import TelewideError, UsageError
+from telewide.text import command_line, counted
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:

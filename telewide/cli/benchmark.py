@@ -96,8 +96,8 @@ def matches(
     """Count the held-out matches that each matcher misses on your captures; the first run's pairs are used."""
     from telewide.benchmark.contenders import all_contenders, semiglobal_contender
     from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
-    from telewide.capture.rundir import RunFolder
     from telewide.pipeline import recipe_of_depth
+    from telewide.stages.run_folder import RunFolder
 
     check_device(device)
     sources = run or []

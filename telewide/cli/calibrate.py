@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from telewide.cli.console import JsonOption, QuietOption, console_observer, print_json
-from telewide.command_line import command_line
 from telewide.errors import QualityError, UsageError
+from telewide.text import command_line
 
 if TYPE_CHECKING:
     from telewide.calibration.quality import CalibrationQuality

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.errors import UsageError
-from telewide.json_text import json_text
+from telewide.text import json_text
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def print_json(content: dict[str, object]) -> None:
     """Print the one object of a command, however many processes worked on it.
 
     Args:
-        content: plain data; see :func:`telewide.json_text.json_text`.
+        content: plain data; see :func:`telewide.text.json_text`.
     """
     if this_process().is_writer:
         typer.echo(json_text(content))

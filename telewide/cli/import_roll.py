@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.console import JsonOption, QuietOption, bar, print_json
-from telewide.command_line import command_line
-from telewide.counted import counted
 from telewide.errors import InputError, UsageError
+from telewide.text import command_line, counted
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from telewide.counted import counted
+from telewide.text import counted
 
 if TYPE_CHECKING:
     from telewide.capture.pair import CaptureSet, Problem

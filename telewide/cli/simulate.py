@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.console import bar
-from telewide.command_line import command_line
-from telewide.counted import counted
 from telewide.errors import UsageError
+from telewide.text import command_line, counted
 
 if TYPE_CHECKING:
     from telewide.simulate.rooms import RoomShots

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.images import write_image, write_pfm, write_png16
-from telewide.capture.rundir import replacing
 from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult
+from telewide.files import replacing
 from telewide.geometry.stereo import FloatMap
 
 NPZ_FORMAT = 1

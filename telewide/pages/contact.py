@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from telewide.capture.rundir import replacing
 from telewide.depth.preview import disparity_panel, scale_ticks
 from telewide.depth.result import DepthResult
 from telewide.drawing import (
@@ -34,6 +33,7 @@ from telewide.drawing import (
     upright,
     write_text,
 )
+from telewide.files import replacing
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 
 SHEET_WIDTH_PX = 2000

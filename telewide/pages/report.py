@@ -18,8 +18,8 @@ from urllib.parse import quote
 import cv2
 import numpy as np
 
-from telewide.capture.rundir import write_text
 from telewide.drawing import fitted_wh, number_labels, rounded_ticks, scaled_image
+from telewide.files import write_text
 from telewide.geometry.stereo import FloatMap
 
 Number = float | int | str | None

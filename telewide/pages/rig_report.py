@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import Calibration, CameraStd, ViewResult
-from telewide.capture.rundir import write_text
 from telewide.drawing import fitted_wh, scaled_image
+from telewide.files import write_text
 from telewide.geometry.rig import Camera
 from telewide.geometry.stereo import FloatMap
 from telewide.pages.charts import CHART_STYLE

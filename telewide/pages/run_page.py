@@ -12,14 +12,14 @@ import numpy as np
 
 from telewide.capture.images import read_image
 from telewide.capture.pair import PhotoPair
-from telewide.capture.rundir import RunFolder
-from telewide.command_line import command_line
 from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
+from telewide.stages.run_folder import RunFolder
+from telewide.text import command_line
 from telewide.training.stages import plan_stages
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.scene_rig import CONTRADICTIONS, SceneRig, SideSource
-from telewide.capture.rundir import write_text
+from telewide.files import write_text
 from telewide.geometry.stereo import FloatMap
 from telewide.pages.charts import CHART_STYLE, Bar, bar_list, coverage_chart
 from telewide.pages.report import (

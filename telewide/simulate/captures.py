@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from telewide.capture.facts import FACTS_FILE
 from telewide.capture.images import write_image, write_pfm
-from telewide.capture.rundir import write_text
 from telewide.errors import UsageError
+from telewide.files import write_text
 from telewide.simulate.degrade import Degradation, degrade_small
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, TiffImagePlugin
 
-from telewide.capture.rundir import replacing
+from telewide.files import replacing
 from telewide.simulate.sensor import RawFrame, Sensor, vignetting_at
 
 FloatImage = NDArray[np.float32]

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.images import write_image, write_pfm
-from telewide.capture.rundir import write_text
 from telewide.errors import UsageError
+from telewide.files import write_text
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform

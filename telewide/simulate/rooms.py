@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.images import write_image, write_pfm
-from telewide.capture.rundir import write_text
 from telewide.errors import UsageError
+from telewide.files import write_text
 from telewide.geometry.rig import Camera, StereoRig
 from telewide.simulate.dng import ExifFacts, write_dng, write_jpeg
 from telewide.simulate.phone import (

@@ -28,11 +28,11 @@ from telewide.calibration.solver import calibrate_rig
 from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.correction.rectify import rectify_pair
-from telewide.counted import counted
 from telewide.errors import InputError, TelewideError
 from telewide.geometry.stereo import FloatMap
 from telewide.pages.report import NextStep
 from telewide.pages.rig_report import write_rig_report
+from telewide.text import counted
 
 BOARDS_FOLDER = Path("boards")
 _PREVIEW_WIDTH_PX = 1000

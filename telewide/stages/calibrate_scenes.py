@@ -38,7 +38,6 @@ from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, Problem, find_captures
 from telewide.correction.rectify import rectify_pair
 from telewide.correction.refinement import fit_shot, refined_rig
-from telewide.counted import counted
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.geometry.camera import focal_px_from_f35
 from telewide.geometry.rig import Camera
@@ -48,6 +47,7 @@ from telewide.pages.scenes_report import SceneView, write_scenes_report
 from telewide.points.matches import Matches
 from telewide.points.photo_matches import find_photo_matches
 from telewide.stages.calibrate import CalibrationObserver
+from telewide.text import counted
 
 FloatArray = NDArray[np.float64]
 Hw = tuple[int, int]

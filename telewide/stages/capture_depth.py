@@ -18,7 +18,6 @@ from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, why_no_bokeh
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
-from telewide.capture.rundir import fingerprint
 from telewide.correction.moving import MovedRegion, moving_mask
 from telewide.depth.edges import follow_edges
 from telewide.depth.export import write_depth
@@ -28,6 +27,7 @@ from telewide.depth.precision_notes import hardly_known_notes, pinned_shot
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError
+from telewide.files import fingerprint
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error

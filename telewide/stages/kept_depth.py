@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from telewide.capture.rundir import write_text
+from telewide.files import write_text
 
 FORMAT = 2
 KEPT_NAME = "depth.json"

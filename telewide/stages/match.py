@@ -7,14 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from telewide.capture.rundir import WEIGHTS_NAME, RunFolder, fingerprint, locate_run
-from telewide.command_line import command_line
 from telewide.errors import InputError, UsageError
+from telewide.files import fingerprint
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.options import parse_options
 from telewide.recipe import Recipe
+from telewide.stages.run_folder import RunFolder, locate_run
+from telewide.text import command_line
+from telewide.training.options import WEIGHTS_NAME
 
 if TYPE_CHECKING:
     from telewide.training.checkpoint import WeightsCard

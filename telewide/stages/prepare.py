@@ -27,7 +27,6 @@ from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.importer import is_imported
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
-from telewide.capture.rundir import RunFolder, fingerprint, replacing, write_text
 from telewide.correction.blur import BlurEstimate, damage_range, fit_blur
 from telewide.correction.verdict import (
     MIN_COMMON_MATCHES,
@@ -38,6 +37,7 @@ from telewide.correction.verdict import (
     inspect_pair,
 )
 from telewide.errors import InputError, UsageError
+from telewide.files import fingerprint, replacing, write_text
 from telewide.geometry.stereo import FloatMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
@@ -52,6 +52,7 @@ from telewide.stages.align import (
     plain_rig,
     read_shot_facts,
 )
+from telewide.stages.run_folder import RunFolder
 from telewide.training.samples import LABELS_PREFIX, labels_path
 
 FORMAT = 5

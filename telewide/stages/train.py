@@ -19,10 +19,9 @@ import numpy as np
 import torch
 
 from telewide.capture.pair import Capture, PairReader
-from telewide.capture.rundir import RunFolder, write_text
 from telewide.cores import usable_cores
-from telewide.counted import counted
 from telewide.errors import InputError, UsageError
+from telewide.files import write_text
 from telewide.matching.inference import match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.matching.window import Window
@@ -30,6 +29,8 @@ from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
 from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe, differing_keys
 from telewide.stages.prepare import PreparedSet, write_labels
+from telewide.stages.run_folder import RunFolder
+from telewide.text import counted
 from telewide.training.checkpoint import (
     STATE_NAME,
     BestWeights,

@@ -22,8 +22,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
-from telewide.capture.rundir import replacing
 from telewide.errors import InputError
+from telewide.files import replacing
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window
 

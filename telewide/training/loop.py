@@ -17,7 +17,6 @@ from typing import Protocol
 
 import torch
 
-from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import TelewideError, UsageError
 from telewide.matching.inference import full_precision, low_precision
 from telewide.matching.networks import StereoNetwork, standardise
@@ -35,7 +34,7 @@ from telewide.training.checkpoint import (
 )
 from telewide.training.data import StepBatches, iterate_batches
 from telewide.training.objective import Batch, objective
-from telewide.training.options import TrainOptions
+from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import SampleSource
 from telewide.training.stages import Stage, plan_stages

@@ -11,6 +11,9 @@ from telewide.options import Options
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 
+WEIGHTS_NAME = "weights.safetensors"
+"""Of the result of a training, in the folder of the training."""
+
 
 class StageOptions(Options):
     """One stage: where its crops come from, what they are compared by, how long it lasts."""

@@ -15,13 +15,13 @@ from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
 from telewide.capture.images import read_pfm, write_image
 from telewide.capture.pair import find_captures
-from telewide.capture.rundir import RunFolder
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.window import Window
 from telewide.recipe import Recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import prepare_captures
+from telewide.stages.run_folder import RunFolder
 
 Map = NDArray[np.float32]
 OFF_PX = 2.0

@@ -21,7 +21,7 @@ PATIENCE_S = 60
 HALF_WRITTEN = """
 import sys, time
 from pathlib import Path
-from telewide.capture.rundir import replacing
+from telewide.files import replacing
 from telewide.cli.stopping import terminable
 with terminable() as interrupted:
     try:

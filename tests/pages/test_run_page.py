@@ -10,13 +10,13 @@ import pytest
 
 from telewide.capture.images import write_image
 from telewide.capture.pair import PhotoPair
-from telewide.capture.rundir import RunFolder
 from telewide.cli import main
 from telewide.depth.export import write_depth
 from telewide.depth.result import DepthResult
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.run_page import next_steps, report_row
 from telewide.recipe import Recipe, load_recipe
+from telewide.stages.run_folder import RunFolder
 
 RIG = Path("my rigs/phone.yaml")
 

@@ -14,13 +14,13 @@ from PIL import Image, TiffImagePlugin
 from telewide.calibration.rig_file import StoredRig, read_rig
 from telewide.capture.images import read_pfm
 from telewide.capture.pair import find_captures
-from telewide.capture.rundir import RunFolder
 from telewide.cli import app
 from telewide.errors import InputError, UsageError
 from telewide.recipe import load_recipe
 from telewide.simulate.phone import write_phone
 from telewide.stages.align import alignment_as_json, alignment_from_json, locate_rig
 from telewide.stages.prepare import prepare_captures
+from telewide.stages.run_folder import RunFolder
 
 pytestmark = pytest.mark.slow
 

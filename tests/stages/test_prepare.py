@@ -11,11 +11,11 @@ import pytest
 import telewide.stages.prepare
 from telewide.capture.images import read_image, read_pfm
 from telewide.capture.pair import find_captures
-from telewide.capture.rundir import RunFolder
 from telewide.errors import InputError
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import PreparedSet, prepare_captures, refuse_without_rig, write_labels
+from telewide.stages.run_folder import RunFolder
 from telewide.training.samples import labels_path
 
 

@@ -23,13 +23,13 @@ from training.small import Heard
 import telewide.stages.train
 from telewide.capture.images import read_pfm
 from telewide.capture.pair import find_captures
-from telewide.capture.rundir import RunFolder
 from telewide.cli import main
 from telewide.errors import UsageError
 from telewide.pipeline import DepthOptions, depth_captures, train_captures
 from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import prepare_captures
+from telewide.stages.run_folder import RunFolder
 from telewide.stages.train import TrainOutcome, read_record
 from telewide.training import loop
 from telewide.training.loop import DECISIVE

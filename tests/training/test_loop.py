@@ -13,7 +13,6 @@ import pytest
 import torch
 from training.small import CPU, CROP_HW, Heard, ScriptedJudge, stage_of, three_stages, training_in
 
-from telewide.capture.rundir import WEIGHTS_NAME
 from telewide.errors import TelewideError, UsageError
 from telewide.matching.inference import full_precision
 from telewide.matching.networks import NETWORKS, StereoNetwork, build_network
@@ -29,7 +28,7 @@ from telewide.training.checkpoint import (
 from telewide.training.data import StepBatches
 from telewide.training.loop import COOL_DOWN_SHARE, LAST_LEARNING_RATE, WARM_UP_STEPS, learning_rate, take_step, train
 from telewide.training.objective import Batch
-from telewide.training.options import TrainOptions
+from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import SampleSource
 from telewide.training.stages import Stage, plan_stages

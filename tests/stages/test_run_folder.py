@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from telewide.capture.rundir import RunFolder, fingerprint, locate_run, replacing, write_run_record, write_text
 from telewide.errors import TelewideError, UsageError
+from telewide.files import fingerprint, replacing, write_text
+from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
 
 
 def test_replacing_leaves_the_new_file_and_nothing_else(tmp_path: Path) -> None:
@@ -49,7 +50,7 @@ def test_replacing_on_a_full_disk_keeps_the_old_file(tmp_path: Path) -> None:
     # A limit on the size of files makes the system itself refuse the write, as a full disk does.
     script = (
         "import resource, signal, sys\nfrom pathlib import Path\n"
-        "from telewide.capture.rundir import replacing\nfrom telewide.errors import TelewideError\n"
+        "from telewide.files import replacing\nfrom telewide.errors import TelewideError\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))\n"
         "try:\n    with replacing(Path(sys.argv[1])) as path:\n        path.write_bytes(bytes(5000))\n"
@@ -84,7 +85,7 @@ def test_replacing_onto_a_folder(tmp_path: Path) -> None:
 
 
 WRITES_AND_WAITS = (
-    "import sys\nfrom pathlib import Path\nfrom telewide.capture.rundir import replacing\n"
+    "import sys\nfrom pathlib import Path\nfrom telewide.files import replacing\n"
     "with replacing(Path(sys.argv[1])) as path:\n"
     "    path.write_text('half')\n    sys.stdout.write('begun')\n    sys.stdout.flush()\n    sys.stdin.read()\n"
 )

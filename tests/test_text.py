@@ -1,15 +1,26 @@
-"""JSON that every reader takes."""
+"""Text as telewide writes it: counts, JSON that every reader takes, commands that a shell reads back."""
 
 from __future__ import annotations
 
 import json
 import math
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from telewide.json_text import json_text
+from telewide.text import command_line, counted, json_text
+
+
+def test_one_is_singular_and_no_other_number_is() -> None:
+    assert [counted(number, "capture") for number in (0, 1, 2, 11)] == [
+        "0 captures",
+        "1 capture",
+        "2 captures",
+        "11 captures",
+    ]
+    assert counted(1, "new capture") == "1 new capture"
 
 
 @pytest.mark.parametrize("missing", [math.nan, math.inf, -math.inf, np.float64("nan")])
@@ -24,3 +35,9 @@ def test_what_json_can_hold_comes_back(indent: int | None) -> None:
     assert json.loads(json_text(value, indent=indent)) == value
     assert "Käse" in json_text(value)
     assert json.loads(json_text({"at": Path("a/b")})) == {"at": "a/b"}
+
+
+def test_a_shell_reads_what_was_meant() -> None:
+    written = command_line("depth", Path("it's mine/*"), run=Path("my run"), bokeh=True, rig=None, fresh=False)
+    assert shlex.split(written) == ["telewide", "depth", "it's mine/*", "--run", "my run", "--bokeh"]
+    assert command_line("calibrate", square_m=0.0243, from_scenes=True).endswith("--square-m 0.0243 --from-scenes")
