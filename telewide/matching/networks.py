@@ -13,11 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from telewide.errors import UsageError
+from telewide.matching.guided import GuidedFeatures, GuidedMatching
 from telewide.matching.lite import LiteFeatures, LiteMatching
 from telewide.matching.psmnet import PsmnetFeatures, PsmnetMatching, initialise_psmnet
 from telewide.matching.window import Window
 
-SIZE_MULTIPLE_PX = 16
+SIZE_MULTIPLE_PX = 32
 """Both sides of a network's input are multiples of this; inference pads."""
 WIDEST_CONTEXT_PX = 320
 """Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
@@ -32,10 +33,13 @@ class NetworkOutput:
     Attributes:
         disparities_px: (B, H, W) each, coarse to fine; the last is the result.
         logits_BDHW: (B, D, H/4, W/4) regularised volume, from which confidence and the left-right check are read.
+        heads_BCHW: (B, 2, H, W) logits, where a network has them: that the error is below 1 px, and that src does not see
+            the pixel.
     """
 
     disparities_px: list[Tensor]
     logits_BDHW: Tensor
+    heads_BCHW: Tensor | None = None
 
     @property
     def disparity_px(self) -> Tensor:
@@ -66,8 +70,8 @@ class StereoNetwork(nn.Module):
         batch = ref_BCHW.shape[0]
         ref = tuple(m[:batch] for m in maps)
         src = tuple(m[batch:] for m in maps)
-        disparities_px, logits = self.matching(ref, src, window)
-        return NetworkOutput(disparities_px, logits)
+        disparities_px, logits, *heads = self.matching(ref, src, window)
+        return NetworkOutput(disparities_px, logits, heads[0] if heads else None)
 
 
 def standardise(image_BCHW: Tensor) -> Tensor:
@@ -92,6 +96,7 @@ def _build_psmnet_s() -> StereoNetwork:
 
 
 NETWORKS: dict[str, Callable[[], StereoNetwork]] = {
+    "guided": lambda: StereoNetwork(GuidedFeatures(), GuidedMatching()),
     "lite": _build_lite,
     "psmnet-s": _build_psmnet_s,
 }

@@ -1,0 +1,267 @@
+"""`guided`: a regularised volume, then recurrent updates, both guided by the sharp view.
+
+    image ─ features: guide (1/2), pyramid to 1/32 and back ─ matching features, trunk (1/4)
+    matching features ─ unit-length group correlation ─ hourglass gated by ref's trunk ─ mode expectation (1/4)
+    ─ two gated recurrent updates that see the volume around the present guess (1/4) ─ convex upsampling (1/2)
+    ─ one update against the warped guide, half-pixel planes around the guess (1/2) ─ convex upsampling (1/1)
+
+Little is spent on 3-D convolution: features and updates carry over to pictures never seen better than filtered volumes do.
+What the updates know of a disparity is its difference from its neighbourhood, so that a moved window moves the result.
+No normalisation layer: a tile sees what the whole image would. Widths are multiples of 16.
+Letters: B batch, C channels, G groups, D planes, H W grid at hand.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from telewide.matching.conv3d import Conv3d
+from telewide.matching.sampling import upsample_convex, warp_to_ref
+from telewide.matching.volume import correlate_groups, expect_disparity_at_mode
+from telewide.matching.window import VOLUME_STEP_PX, Window
+
+GUIDE, QUARTER, EIGHTH, SIXTEENTH, THIRTYSECOND = 32, 48, 80, 112, 144
+GROUPS = 8
+HIDDEN = 48
+UPDATES = 2
+REACH = 3
+"""Planes on each side of the guess that an update sees."""
+HALF_GROUPS, HALF_CHANNELS, HALF_REACH = 4, 16, 2
+DEEPEST_STRIDE = 8
+"""Planes are padded to a multiple of this, and cut again."""
+DISPARITY_SCALE_PX = 8.0
+
+
+def _conv(c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> nn.Conv2d:
+    return nn.Conv2d(c_in, c_out, 3, stride=stride, padding=dilation, dilation=dilation)
+
+
+class _Residual(nn.Module):
+    def __init__(self, channels: int, *, dilation: int = 1) -> None:
+        super().__init__()
+        self.first = _conv(channels, channels, dilation=dilation)
+        self.last = _conv(channels, channels, dilation=dilation)
+        nn.init.zeros_(self.last.weight)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(x + self.last(functional.relu(self.first(x))))
+
+
+def _down(c_in: int, c_out: int, *blocks: nn.Module) -> nn.Sequential:
+    return nn.Sequential(_conv(c_in, c_out, stride=2), nn.ReLU(inplace=True), *blocks)
+
+
+class _Up(nn.Module):
+    """Bring a coarse level up to a finer one and mix."""
+
+    def __init__(self, coarse: int, fine: int) -> None:
+        super().__init__()
+        self.lift = nn.Conv2d(coarse, fine, 1)
+        self.mix = _Residual(fine)
+
+    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        lifted = functional.interpolate(self.lift(coarse), size=fine.shape[-2:], mode="bilinear", align_corners=False)
+        mixed: Tensor = self.mix(fine + lifted)
+        return mixed
+
+
+class GuidedFeatures(nn.Module):
+    """Phi_F: a standardised view to (matching features at 1/4, guide at 1/2, trunk at 1/4)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.guide = nn.Sequential(
+            nn.PixelUnshuffle(2), _conv(12, GUIDE), nn.ReLU(inplace=True), _conv(GUIDE, GUIDE), nn.ReLU(inplace=True)
+        )
+        self.quarter = _down(GUIDE, QUARTER, _Residual(QUARTER))
+        self.eighth = _down(QUARTER, EIGHTH, _Residual(EIGHTH), _Residual(EIGHTH))
+        self.sixteenth = _down(EIGHTH, SIXTEENTH, _Residual(SIXTEENTH), _Residual(SIXTEENTH, dilation=2))
+        self.thirtysecond = _down(SIXTEENTH, THIRTYSECOND, _Residual(THIRTYSECOND), _Residual(THIRTYSECOND, dilation=2))
+        self.to_sixteenth = _Up(THIRTYSECOND, SIXTEENTH)
+        self.to_eighth = _Up(SIXTEENTH, EIGHTH)
+        self.to_quarter = _Up(EIGHTH, QUARTER)
+        self.head = nn.Conv2d(QUARTER, QUARTER, 1)
+
+    def forward(self, image_BCHW: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(B, 3, H, W) to (B, 48, H/4, W/4), (B, 32, H/2, W/2) and (B, 48, H/4, W/4)."""
+        guide = self.guide(image_BCHW)
+        quarter = self.quarter(guide)
+        eighth = self.eighth(quarter)
+        sixteenth = self.sixteenth(eighth)
+        deep = self.to_sixteenth(self.thirtysecond(sixteenth), sixteenth)
+        trunk = self.to_quarter(self.to_eighth(deep, eighth), quarter)
+        return self.head(trunk), guide, trunk
+
+
+class _Hourglass(nn.Module):
+    """3-D encoder and decoder over three levels; ref's trunk gates the channels of each level."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        relu = nn.ReLU(inplace=True)
+        self.enter = nn.Sequential(Conv3d(GROUPS, 16), relu)
+        self.down1 = nn.Sequential(Conv3d(16, 32, stride=2), relu, Conv3d(32, 32), relu)
+        self.down2 = nn.Sequential(Conv3d(32, 48, stride=2), relu, Conv3d(48, 48), relu)
+        self.down3 = nn.Sequential(Conv3d(48, 64, stride=2), relu, Conv3d(64, 64), relu)
+        self.gates = nn.ModuleList([nn.Conv2d(QUARTER, c, 1) for c in (16, 32, 48)])
+        self.lift3, self.lift2, self.lift1 = Conv3d(64, 48, kernel=1), Conv3d(48, 32, kernel=1), Conv3d(32, 16, kernel=1)
+        self.mix2 = nn.Sequential(Conv3d(48, 48), relu)
+        self.mix1 = nn.Sequential(Conv3d(32, 32), relu)
+        self.mix0 = nn.Sequential(Conv3d(16, 16), relu)
+        self.leave = Conv3d(16, 1, kernel=1)
+        nn.init.zeros_(self.leave.weight)
+
+    def forward(self, volume_BGDHW: Tensor, trunk: Tensor) -> Tensor:
+        full = _gated(self.enter(volume_BGDHW), self.gates[0](trunk))
+        half = _gated(self.down1(full), self.gates[1](_pooled(trunk, 2)))
+        quarter = _gated(self.down2(half), self.gates[2](_pooled(trunk, 4)))
+        eighth = self.down3(quarter)
+        quarter = self.mix2(_resized(self.lift3(eighth), quarter) + quarter)
+        half = self.mix1(_resized(self.lift2(quarter), half) + half)
+        full = self.mix0(_resized(self.lift1(half), full) + full)
+        left: Tensor = self.leave(full)[:, 0]
+        return left
+
+
+def _gated(volume: Tensor, gate_BCHW: Tensor) -> Tensor:
+    return volume * gate_BCHW.sigmoid()[:, :, None]
+
+
+def _pooled(x: Tensor, factor: int) -> Tensor:
+    return functional.avg_pool2d(x, factor, ceil_mode=True)
+
+
+def _resized(x: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(x, size=like.shape[2:], mode="nearest")
+
+
+class _Update(nn.Module):
+    """One gated recurrent step (after ConvGRU in RAFT, Teed and Deng, 2020); the context enters its gates once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        seen = 2 * (2 * REACH + 1) + 2
+        self.encode = nn.Sequential(nn.Conv2d(seen, 48, 1), nn.ReLU(inplace=True), _conv(48, 32), nn.ReLU(inplace=True))
+        self.context = _conv(HIDDEN, 3 * HIDDEN)
+        self.gates = _conv(HIDDEN + 32, 2 * HIDDEN)
+        self.candidate = _conv(HIDDEN + 32, HIDDEN)
+        self.residual = nn.Sequential(_conv(HIDDEN, 32), nn.ReLU(inplace=True), _conv(32, 1))
+        nn.init.zeros_(self.residual[-1].weight)
+
+    def forward(self, hidden: Tensor, context: tuple[Tensor, ...], seen: Tensor) -> tuple[Tensor, Tensor]:
+        x = self.encode(seen)
+        gates = self.gates(torch.cat((hidden, x), dim=1))
+        keep, reset = (gates + torch.cat(context[:2], dim=1)).sigmoid().chunk(2, dim=1)
+        candidate = torch.tanh(self.candidate(torch.cat((reset * hidden, x), dim=1)) + context[2])
+        hidden = hidden + keep * (candidate - hidden)
+        return hidden, self.residual(hidden)[:, 0].float() * VOLUME_STEP_PX
+
+
+class GuidedMatching(nn.Module):
+    """Phi_M: features of both views to the disparities of ref."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hourglass = _Hourglass()
+        # The mean correlation goes straight to the output: training starts at once instead of after a plateau.
+        self.correlation_scale = nn.Parameter(torch.tensor(8.0))
+        self.context = nn.Sequential(_conv(QUARTER, 2 * HIDDEN), nn.ReLU(inplace=True), nn.Conv2d(2 * HIDDEN, 2 * HIDDEN, 1))
+        self.update = _Update()
+        self.up_weights = nn.Sequential(_conv(HIDDEN, 48), nn.ReLU(inplace=True), nn.Conv2d(48, 9 * 4, 1))
+        self.half_features = nn.Conv2d(GUIDE, HALF_CHANNELS, 1)
+        self.half_hidden = nn.Conv2d(HIDDEN, GUIDE, 1)
+        seen = HALF_GROUPS * (2 * HALF_REACH + 1) + GUIDE + 1
+        self.half_enter = nn.Sequential(_conv(seen, 32), nn.ReLU(inplace=True), _Residual(32), _Residual(32, dilation=2))
+        self.half_residual = _conv(32, 1)
+        self.half_weights = nn.Conv2d(32, 9 * 4, 1)
+        self.half_heads = _conv(32, 2)
+        nn.init.zeros_(self.half_residual.weight)
+
+    def forward(
+        self, ref: tuple[Tensor, ...], src: tuple[Tensor, ...], window: Window
+    ) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Disparities (B, H, W), coarse to fine, px; the volume (B, D, H/4, W/4); heads (B, 2, H, W).
+
+        The heads are logits: that the error is below 1 px, and that src does not see the pixel.
+        """
+        correlation = correlate_groups(ref[0], src[0], window=window, groups=GROUPS)
+        mean = correlation.float().mean(dim=1)
+        logits = self._regularised(correlation, ref[2]) + self.correlation_scale * mean
+        coarse_px = expect_disparity_at_mode(logits, window=window)
+        guesses, hidden = self._updated(coarse_px, logits, mean, ref[2], window)
+        half_px = upsample_convex(guesses[-1], self.up_weights(hidden), factor=2)
+        refined_px, fine = self._at_half(half_px, hidden, ref[1], src[1])
+        full_px = upsample_convex(refined_px, self.half_weights(fine), factor=2)
+        heads = functional.interpolate(self.half_heads(fine).float(), scale_factor=2, mode="bilinear", align_corners=False)
+        return [*(_nearest(d, 4) for d in (coarse_px, *guesses)), _nearest(half_px, 2), full_px], logits, heads
+
+    def _regularised(self, correlation: Tensor, trunk: Tensor) -> Tensor:
+        planes = correlation.shape[2]
+        padded = functional.pad(correlation, (0, 0, 0, 0, 0, -planes % DEEPEST_STRIDE))
+        volume = padded.contiguous(memory_format=torch.channels_last_3d)
+        return self.hourglass(volume, trunk)[:, :planes].float()
+
+    def _updated(
+        self, coarse_px: Tensor, logits: Tensor, mean: Tensor, trunk: Tensor, window: Window
+    ) -> tuple[list[Tensor], Tensor]:
+        first, context = self.context(trunk).chunk(2, dim=1)
+        hidden = torch.tanh(first)
+        terms = self.update.context(functional.relu(context)).chunk(3, dim=1)
+        likely = logits.log_softmax(dim=1)
+        peak = likely.amax(dim=1, keepdim=True)
+        guess_px, guesses = coarse_px, []
+        for _ in range(UPDATES):
+            guess_px = guess_px.detach()
+            position = (guess_px - window[0]) / VOLUME_STEP_PX
+            around = [_around(likely, position).clamp(min=-12) / 4, _around(mean, position) * 2]
+            seen = torch.cat((*around, _relief(guess_px)[:, None] / DISPARITY_SCALE_PX, peak.clamp(min=-6)), dim=1)
+            hidden, step_px = self.update(hidden, terms, seen.to(hidden.dtype))
+            guess_px = guess_px + step_px
+            guesses.append(guess_px)
+        return guesses, hidden
+
+    def _at_half(self, half_px: Tensor, hidden: Tensor, ref_guide: Tensor, src_guide: Tensor) -> tuple[Tensor, Tensor]:
+        start_px = half_px.detach()
+        ref, src = (self.half_features(guide) for guide in (ref_guide, src_guide))
+        warped = warp_to_ref(src, start_px / 2)
+        near = _near_correlation(ref.float(), warped.float())
+        lifted = functional.interpolate(
+            self.half_hidden(hidden), scale_factor=2, mode="bilinear", align_corners=False
+        )
+        relief = _relief(start_px)[:, None] / DISPARITY_SCALE_PX
+        seen = torch.cat((near.to(ref_guide.dtype), ref_guide + lifted, relief.to(ref_guide.dtype)), dim=1)
+        fine = self.half_enter(seen)
+        return half_px + self.half_residual(fine)[:, 0].float() * VOLUME_STEP_PX / 2, fine
+
+
+def _around(volume_BDHW: Tensor, position_BHW: Tensor) -> Tensor:
+    """Values of a volume at -REACH to REACH planes about a fractional plane, (B, 2 REACH + 1, H, W); its ends repeat."""
+    planes = volume_BDHW.shape[1]
+    low = position_BHW.floor()
+    fraction = (position_BHW - low)[:, None]
+    offsets = torch.arange(-REACH, REACH + 2, device=volume_BDHW.device)[:, None, None]
+    index = (low[:, None].long() + offsets).clamp(0, planes - 1)
+    values = volume_BDHW.gather(1, index)
+    return values[:, :-1] + fraction * (values[:, 1:] - values[:, :-1])
+
+
+def _relief(disparity_px_BHW: Tensor) -> Tensor:
+    """Difference of a disparity from the mean around it, px, kept within what is plausible."""
+    mean = functional.avg_pool2d(disparity_px_BHW[:, None], 9, stride=1, padding=4, count_include_pad=False)[:, 0]
+    return (disparity_px_BHW - mean).clamp(-16, 16)
+
+
+def _near_correlation(ref_BCHW: Tensor, warped_BCHW: Tensor) -> Tensor:
+    """Group correlation of ref with the warped src at -HALF_REACH to HALF_REACH px beside the guess."""
+    batch, _, height, width = ref_BCHW.shape
+    grouped = (x.reshape(batch, HALF_GROUPS, -1, height, width) for x in (ref_BCHW, warped_BCHW))
+    ref, warped = (x * (x * x).sum(dim=2, keepdim=True).add(1e-6).rsqrt() for x in grouped)
+    padded = functional.pad(warped, (HALF_REACH, HALF_REACH))
+    steps = range(2 * HALF_REACH + 1)
+    return torch.cat([(ref * padded[..., first : first + width]).sum(dim=2) for first in steps], dim=1)
+
+
+def _nearest(values_BHW: Tensor, factor: int) -> Tensor:
+    return functional.interpolate(values_BHW[:, None], scale_factor=factor, mode="nearest")[:, 0]

@@ -1,0 +1,1 @@
+"""Solids before a background, cast ray by ray for two pinhole views with exact disparity."""

@@ -1,0 +1,199 @@
+"""What a second, worse camera does to a view, in torch: moved, blurred, shrunken, noisy, compressed, tinted, enlarged.
+
+The same order and meaning as `telewide.simulate.degrade`, with the lens' falloff and clipped highlights besides, on the
+device of the view. Letters: H W view, h w as the worse camera saw it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+JPEG_BLOCK = 8
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One damage of a view.
+
+    Attributes:
+        factor: how many times fewer pixels along each axis, >= 1.
+        blur_sigma_px: along the major and the minor axis, px before shrinking.
+        blur_angle_rad: direction of the major axis.
+        noise_std: white noise of the shrunken view.
+        jpeg_quality: 1 to 100; None for no compression.
+        gain: (R, G, B) factors.
+        gamma: exponent.
+        vignetting: loss of light in the corners, share.
+        vertical_px: the content moves down by so many px,
+        vertical_slope: by so many more per px below the centre,
+        turn_rad: and turns about the centre.
+    """
+
+    factor: float = 1.0
+    blur_sigma_px: tuple[float, float] = (0.0, 0.0)
+    blur_angle_rad: float = 0.0
+    noise_std: float = 0.0
+    jpeg_quality: int | None = None
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gamma: float = 1.0
+    vignetting: float = 0.0
+    vertical_px: float = 0.0
+    vertical_slope: float = 0.0
+    turn_rad: float = 0.0
+
+
+def draw_damage(rng: np.random.Generator, *, largest_factor: float = 8.5, equal_share: float = 0.1) -> Damage:
+    """Draw what wide lenses do; now and then only colour differs, as between equal cameras."""
+    gain = np.exp(rng.normal(0, 0.22) + rng.normal(0, 0.1, 3))
+    colour = {"gain": tuple(float(g) for g in gain), "gamma": math.exp(rng.normal(0, 0.15))}
+    if rng.random() < 0.25:
+        colour = {}
+    if rng.random() < equal_share:
+        return Damage(noise_std=rng.uniform(0, 0.01), **colour)  # type: ignore[arg-type]
+    factor = math.exp(rng.uniform(0, math.log(largest_factor)))
+    major = factor * rng.uniform(0, 0.6)
+    moves = rng.random() < 0.6
+    return Damage(
+        factor=factor,
+        blur_sigma_px=(major, major * rng.uniform(0.4, 1.0)),
+        blur_angle_rad=rng.uniform(0, math.pi),
+        noise_std=rng.uniform(0, 0.025) * (rng.random() < 0.7),
+        jpeg_quality=int(rng.integers(35, 97)) if rng.random() < 0.35 else None,
+        vignetting=rng.uniform(0, 0.4) * (rng.random() < 0.3),
+        vertical_px=moves * (rng.normal(0, 0.35) if rng.random() < 0.8 else rng.uniform(-2, 2)),
+        vertical_slope=moves * rng.normal(0, 0.0015),
+        turn_rad=moves * rng.normal(0, 0.0007),
+        **colour,  # type: ignore[arg-type]
+    )
+
+
+def damage_view(view_CHW: Tensor, damage: Damage, *, generator: torch.Generator) -> Tensor:
+    """Damage a view and enlarge it back to its own size.
+
+    Args:
+        view_CHW: (3, H, W) float32, sRGB in [0, 1].
+        damage: what happens to it.
+        generator: source of the noise, on the view's device.
+
+    Returns:
+        (3, H, W) float32, sRGB in [0, 1].
+    """
+    hw = view_CHW.shape[-2:]
+    x = _blur(_move(view_CHW[None], damage), damage)
+    if damage.factor > 1:
+        x = _resize(x, (max(8, round(hw[0] / damage.factor)), max(8, round(hw[1] / damage.factor))))
+    if damage.vignetting:
+        x = x * _falloff(x, damage.vignetting)
+    if damage.noise_std:
+        x = x + damage.noise_std * torch.randn(x.shape, generator=generator, device=x.device)
+    x = (x.clamp(0, 1) ** damage.gamma) * torch.tensor(damage.gain, device=x.device)[:, None, None]
+    x = x.clamp(0, 1)
+    if damage.jpeg_quality is not None:
+        x = compress_jpeg(x, quality=damage.jpeg_quality)
+    return _resize(x, (hw[0], hw[1]))[0].clamp(0, 1)
+
+
+def _resize(x_BCHW: Tensor, hw: tuple[int, int]) -> Tensor:
+    if tuple(x_BCHW.shape[-2:]) == hw:
+        return x_BCHW
+    return functional.interpolate(x_BCHW, size=hw, mode="bicubic", align_corners=False, antialias=True)
+
+
+def _move(x_BCHW: Tensor, damage: Damage) -> Tensor:
+    if not (damage.vertical_px or damage.vertical_slope or damage.turn_rad):
+        return x_BCHW
+    height, width = x_BCHW.shape[-2:]
+    y = torch.arange(height, device=x_BCHW.device, dtype=torch.float32)[:, None] - (height - 1) / 2
+    x = torch.arange(width, device=x_BCHW.device, dtype=torch.float32)[None, :] - (width - 1) / 2
+    # A small turn moves rows by the column; what it does along x is disparity, which the truth would have to follow.
+    y_from = y - damage.vertical_px - damage.vertical_slope * y - damage.turn_rad * x
+    grid_y = (2 * y_from / height)[..., None]
+    grid_x = (2 * x / width).expand(height, width)[..., None]
+    grid = torch.cat((grid_x, grid_y), dim=-1)[None]
+    return functional.grid_sample(x_BCHW, grid, mode="bicubic", padding_mode="reflection", align_corners=False)
+
+
+def _blur(x_BCHW: Tensor, damage: Damage) -> Tensor:
+    major, minor = damage.blur_sigma_px
+    if major < 0.2:
+        return x_BCHW
+    reach = math.ceil(2.6 * major)
+    axis = torch.arange(-reach, reach + 1, device=x_BCHW.device, dtype=torch.float32)
+    cos, sin = math.cos(damage.blur_angle_rad), math.sin(damage.blur_angle_rad)
+    along, across = cos * axis[None, :] + sin * axis[:, None], cos * axis[:, None] - sin * axis[None, :]
+    kernel = torch.exp(-0.5 * ((along / major) ** 2 + (across / max(minor, 0.2)) ** 2))
+    kernel = (kernel / kernel.sum()).expand(x_BCHW.shape[1], 1, -1, -1)
+    reach = min(reach, min(x_BCHW.shape[-2:]) - 1)
+    padded = functional.pad(x_BCHW, (reach,) * 4, mode="reflect")
+    return functional.conv2d(padded, kernel, groups=x_BCHW.shape[1])
+
+
+def _falloff(x_BCHW: Tensor, loss: float) -> Tensor:
+    height, width = x_BCHW.shape[-2:]
+    y = torch.linspace(-1, 1, height, device=x_BCHW.device)[:, None]
+    x = torch.linspace(-1, 1, width, device=x_BCHW.device)[None, :]
+    return 1 - loss * (x * x + y * y) / 2
+
+
+def compress_jpeg(x_BCHW: Tensor, *, quality: int) -> Tensor:
+    """Lose what baseline JPEG loses at a quality: rounded DCT coefficients, colour at half size (ITU-T T.81, annex K).
+
+    Args:
+        x_BCHW: (B, 3, H, W) sRGB in [0, 1].
+        quality: 1 to 100, scaled as the Independent JPEG Group does.
+    """
+    height, width = x_BCHW.shape[-2:]
+    padded = functional.pad(x_BCHW, (0, -width % 16, 0, -height % 16), mode="replicate") * 255
+    r, g, b = padded.unbind(dim=1)
+    luma = 0.299 * r + 0.587 * g + 0.114 * b
+    chroma = torch.stack((0.564 * (b - luma), 0.713 * (r - luma)), dim=1)
+    scale = (5000 / quality if quality < 50 else 200 - 2 * quality) / 100
+    luma = _round_blocks(luma[:, None] - 128, _steps(_LUMA_STEPS, scale, x_BCHW)) + 128
+    small = _round_blocks(functional.avg_pool2d(chroma, 2), _steps(_CHROMA_STEPS, scale, x_BCHW))
+    blue, red = functional.interpolate(small, scale_factor=2, mode="bilinear", align_corners=False).unbind(dim=1)
+    luma = luma[:, 0]
+    rgb = torch.stack((luma + 1.403 * red, luma - 0.344 * blue - 0.714 * red, luma + 1.773 * blue), dim=1)
+    return (rgb / 255).clamp(0, 1)[..., :height, :width]
+
+
+def _steps(table: tuple[int, ...], scale: float, like: Tensor) -> Tensor:
+    steps = torch.tensor(table, device=like.device, dtype=torch.float32).reshape(JPEG_BLOCK, JPEG_BLOCK)
+    return (steps * scale).round().clamp(1, 255)
+
+
+def _round_blocks(x_BCHW: Tensor, steps: Tensor) -> Tensor:
+    batch, channels, height, width = x_BCHW.shape
+    n = JPEG_BLOCK
+    k = torch.arange(n, device=x_BCHW.device, dtype=torch.float32)
+    basis = torch.cos(math.pi * (2 * k[None, :] + 1) * k[:, None] / (2 * n)) * math.sqrt(2 / n)
+    basis[0] /= math.sqrt(2)
+    blocks = x_BCHW.reshape(batch, channels, height // n, n, width // n, n).transpose(3, 4)
+    coefficients = basis @ blocks @ basis.T
+    rounded = (coefficients / steps).round() * steps
+    return (basis.T @ rounded @ basis).transpose(3, 4).reshape(batch, channels, height, width)
+
+
+# Quantisation steps of annex K, row by row.
+_LUMA_STEPS = (
+    *(16, 11, 10, 16, 24, 40, 51, 61),
+    *(12, 12, 14, 19, 26, 58, 60, 55),
+    *(14, 13, 16, 24, 40, 57, 69, 56),
+    *(14, 17, 22, 29, 51, 87, 80, 62),
+    *(18, 22, 37, 56, 68, 109, 103, 77),
+    *(24, 35, 55, 64, 81, 104, 113, 92),
+    *(49, 64, 78, 87, 103, 121, 120, 101),
+    *(72, 92, 95, 98, 112, 100, 103, 99),
+)
+_CHROMA_STEPS = (
+    *(17, 18, 24, 47, 99, 99, 99, 99),
+    *(18, 21, 26, 66, 99, 99, 99, 99),
+    *(24, 26, 56, 99, 99, 99, 99, 99),
+    *(47, 66, 99, 99, 99, 99, 99, 99),
+    *((99,) * 32),
+)

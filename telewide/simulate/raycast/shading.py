@@ -1,0 +1,192 @@
+"""Colour of what rays have met: paint, light, soft shadows, reflections.
+
+Everything about a solid stands in one row of a table, so that a whole view is shaded at once.
+Letters: N solids, n rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from telewide.simulate.raycast.hits import Kind
+from telewide.simulate.raycast.palette import Palette, look_up_texture
+from telewide.simulate.raycast.world import Material, World
+
+SHADOW_EDGE = (0.75, 1.35)
+"""Distance from a shadow's axis, in radii of what casts it, at which it is full and over."""
+SHADOW_CASTERS = 5
+MACRO_RATIO = 0.09
+MIRRORED_TEXELS = 90.0
+
+
+@dataclass(frozen=True)
+class Paint:
+    """The table of a world.
+
+    Attributes:
+        rows: (N + 1, columns) float32, the last row for the sky.
+        waves: solids with a relief, and theirs.
+    """
+
+    rows: Tensor
+    waves: tuple[tuple[int, Tensor], ...]
+
+
+_COLUMNS = {"local": 9, "centre": 3, "size": 3, "kind": 1, "taper": 1, "texture": 1, "macro": 1, "density": 1}
+_COLUMNS |= {"offset": 2, "contrast": 1, "macro_contrast": 1, "tint": 3, "gloss": 1}
+_ENDS = dict(zip(_COLUMNS, np.cumsum(list(_COLUMNS.values())).tolist(), strict=True))
+_SKY_KIND = 6
+
+
+def paint_of(world: World, palette: Palette) -> Paint:
+    """Gather what shading needs to know of every solid."""
+    rows = [
+        [
+            *solid.local_from_world.flatten(),
+            *solid.centre,
+            *solid.half_size,
+            float(solid.kind),
+            solid.taper,
+            *_material(solid.material),
+        ]
+        for solid in world.solids
+    ]
+    rows.append([*np.eye(3).flatten(), 0, 0, 0, 1, 1, 1, _SKY_KIND, 0, *_material(world.sky)])
+    device = palette.textures.device
+    waves = tuple(
+        (number, torch.as_tensor(solid.waves, dtype=torch.float32, device=device))
+        for number, solid in enumerate(world.solids)
+        if solid.waves is not None
+    )
+    return Paint(torch.tensor(rows, dtype=torch.float32, device=device), waves)
+
+
+def _material(material: Material) -> list[float]:
+    return [
+        material.texture,
+        material.macro,
+        material.texels_per_unit,
+        *material.offset,
+        material.contrast,
+        material.macro_contrast,
+        *material.tint,
+        material.gloss,
+    ]
+
+
+def shade(
+    world: World, palette: Palette, paint: Paint, solid: Tensor, depth: Tensor, x: Tensor, y: Tensor, *, camera_x: float
+) -> Tensor:
+    """Colour of rays.
+
+    Args:
+        world: the scene.
+        palette: its textures.
+        paint: its table.
+        solid: (n,) int64 which solid each ray has met; N for the sky.
+        depth: (n,) at which depth.
+        x: (n,) px.
+        y: (n,) px.
+        camera_x: where the camera stands.
+
+    Returns:
+        (n, 3) float32, not yet exposed.
+    """
+    rows = functional.embedding(solid, paint.rows)
+    part = {name: rows[:, _ENDS[name] - size : _ENDS[name]] for name, size in _COLUMNS.items()}
+    ray = torch.stack(((x - world.centre_px[0]) / world.focal_px, (y - world.centre_px[1]) / world.focal_px), dim=-1)
+    ray = functional.pad(ray, (0, 1), value=1.0)
+    far = depth.isinf()
+    depth = torch.where(far, 1.0, depth)
+    point = ray * depth[:, None]
+    point[:, 0] += camera_x * ~far
+    local_from_world = part["local"].reshape(-1, 3, 3)
+    local = torch.einsum("nij,nj->ni", local_from_world, point - part["centre"])
+    normal_local, axis = _normal(local, part["kind"][:, 0], part["taper"][:, 0], solid, paint)
+    normal = functional.normalize(torch.einsum("nij,ni->nj", local_from_world, normal_local), dim=-1)
+    normal = torch.where((normal * ray).sum(dim=-1, keepdim=True) > 0, -normal, normal)
+    facing = -(normal * functional.normalize(ray, dim=-1)).sum(dim=-1)
+    colour = _albedo(palette, part, local, axis, depth, facing, world)
+    lit = _light(world, point, normal, solid)
+    colour = torch.where(far[:, None], colour, colour * lit)
+    return _mirror(colour, palette, part, ray, normal, far)
+
+
+def _normal(local: Tensor, kind: Tensor, taper: Tensor, solid: Tensor, paint: Paint) -> tuple[Tensor, Tensor]:
+    """(n, 3) local normal up to length and sign, and (n,) the axis that the texture is projected along."""
+    size = local.abs()
+    is_cone = kind == Kind.CONE
+    on_end = is_cone & (size[:, 2] > 0.999)
+    # A mantle with the radius 1 - taper (1 + z) / 2 leans by taper / 2.
+    mantle = torch.stack((local[:, 0], local[:, 1], 0.5 * taper * local[:, :2].norm(dim=-1)), dim=-1)
+    axis = size.argmax(dim=-1)
+    flat = (kind == Kind.SHEET) | (kind == Kind.PLANE) | (kind == _SKY_KIND) | on_end
+    axis = torch.where(flat, 2, torch.where(is_cone, size[:, :2].argmax(dim=-1), axis))
+    normal = functional.one_hot(axis, 3).to(local)
+    round_one = (kind == Kind.ELLIPSOID)[:, None]
+    normal = torch.where(round_one, local, torch.where((is_cone & ~on_end)[:, None], mantle, normal))
+    for number, waves in paint.waves:
+        place = (solid == number).nonzero()[:, 0]
+        slope = torch.zeros(len(place), 2, device=local.device)
+        for height, k_x, k_y, phase in waves.tolist():
+            wave = height * torch.cos(k_x * local[place, 0] + k_y * local[place, 1] + phase)
+            slope[:, 0] -= k_x * wave
+            slope[:, 1] -= k_y * wave
+        normal[place, :2] = slope
+    return normal, axis
+
+
+def _albedo(
+    palette: Palette, part: dict[str, Tensor], local: Tensor, axis: Tensor, depth: Tensor, facing: Tensor, world: World
+) -> Tensor:
+    position = local * part["size"]
+    other = torch.tensor([[1, 2], [0, 2], [0, 1]], device=axis.device)[axis]
+    texels_per_px = part["density"][:, 0] * depth / world.focal_px
+    uv = position.gather(1, other) * part["density"] + part["offset"]
+    texture, macro = part["texture"][:, 0].long(), part["macro"][:, 0].long()
+    fine = look_up_texture(palette, texture, uv, texels_per_px / facing.clamp(min=0.1).sqrt())
+    coarse = look_up_texture(palette, macro, uv * MACRO_RATIO, texels_per_px * MACRO_RATIO)
+    mean = functional.embedding(texture, palette.means)
+    shade_of_coarse = (coarse - functional.embedding(macro, palette.means)).mean(dim=-1, keepdim=True)
+    colour = mean + part["contrast"] * (fine - mean)
+    return colour * (1 + part["macro_contrast"] * shade_of_coarse).clamp(min=0.2) * part["tint"]
+
+
+def _light(world: World, point: Tensor, normal: Tensor, solid: Tensor) -> Tensor:
+    """(n, 3) ambient and directed light; the directed part is cut off softly behind the largest solids."""
+    towards = torch.as_tensor(world.light.towards, dtype=torch.float32, device=point.device)
+    direct = (normal @ towards).clamp(min=0)
+    casters = [(number, item) for number, item in enumerate(world.solids) if item.casts_shadow][:SHADOW_CASTERS]
+    for number, item in casters:
+        local = torch.as_tensor(item.local_from_world, dtype=torch.float32, device=point.device)
+        centre = torch.as_tensor(item.centre, dtype=torch.float32, device=point.device)
+        start, way = (point - centre) @ local.T, local @ towards
+        along = -(start @ way) / (way @ way)
+        distance = (start + along[:, None] * way).norm(dim=-1)
+        light = ((distance - SHADOW_EDGE[0]) / (SHADOW_EDGE[1] - SHADOW_EDGE[0])).clamp(0, 1)
+        direct = direct * torch.where((along > 0) & (solid != number), light, 1.0)
+    colour = torch.tensor(world.light.colour, device=point.device)
+    return world.light.ambient + (1 - world.light.ambient) * direct[:, None] * colour
+
+
+def _mirror(
+    colour: Tensor, palette: Palette, part: dict[str, Tensor], ray: Tensor, normal: Tensor, far: Tensor
+) -> Tensor:
+    """Blend in what glossy surfaces mirror: a blurred picture that belongs to the direction, not to the surface."""
+    place = ((part["gloss"][:, 0] > 0) & ~far).nonzero()[:, 0]
+    if not len(place):
+        return colour
+    way = functional.normalize(ray[place], dim=-1)
+    n = normal[place]
+    reflected = way - 2 * (way * n).sum(dim=-1, keepdim=True) * n
+    macro = part["macro"][place, 0].long()
+    coarse = torch.full((len(place),), 8.0, device=colour.device)
+    seen = look_up_texture(palette, macro, reflected[:, :2] * MIRRORED_TEXELS, coarse)
+    gloss = part["gloss"][place]
+    colour[place] = colour[place] + gloss * (1.6 * seen - 0.5)
+    return colour

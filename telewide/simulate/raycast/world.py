@@ -1,0 +1,114 @@
+"""What a ray-cast world consists of: solids with materials, a light, two cameras side by side.
+
+The cameras look along z, x right, y down; ref stands at the origin, src at ``(baseline, 0, 0)``. A point at depth Z has
+the disparity ``x_ref - x_src = focal_px baseline / Z + offset_px``. The unit of length is the depth of the background.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.simulate.raycast.hits import Kind
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface is painted.
+
+    Attributes:
+        texture: which fine texture of the palette.
+        macro: which texture, ten times coarser, varies its brightness.
+        texels_per_unit: of the fine texture.
+        offset: (2,) texels.
+        contrast: of the fine texture about its mean.
+        macro_contrast: of the coarse one.
+        tint: (3,) factors of R, G, B.
+        gloss: weight of what it mirrors, 0 for none.
+    """
+
+    texture: int
+    macro: int
+    texels_per_unit: float
+    offset: tuple[float, float]
+    contrast: float
+    macro_contrast: float
+    tint: tuple[float, float, float]
+    gloss: float = 0.0
+
+
+@dataclass(frozen=True)
+class Solid:
+    """One solid.
+
+    Attributes:
+        kind: which.
+        turn: (3, 3) rotation ``world_from_local``.
+        centre: (3,) world.
+        half_size: (3,) world length of a local unit along each local axis.
+        material: how it is painted.
+        taper: of a CONE.
+        outline: of a SHEET, index into the palette; None for the whole square.
+        waves: (n, 4) relief of a SHEET or PLANE in local units, see `hits.relief`; None for none.
+        casts_shadow: whether it shades others.
+    """
+
+    kind: Kind
+    turn: Matrix
+    centre: Vector
+    half_size: Vector
+    material: Material
+    taper: float = 0.0
+    outline: int | None = None
+    waves: Matrix | None = None
+    casts_shadow: bool = False
+
+    @property
+    def local_from_world(self) -> Matrix:
+        """(3, 3) linear part of the way into local coordinates."""
+        return np.asarray(self.turn.T / self.half_size[:, None])
+
+
+@dataclass(frozen=True)
+class Light:
+    """Directed light and what comes from everywhere.
+
+    Attributes:
+        towards: (3,) unit vector from a surface to the light.
+        ambient: share of light without direction.
+        colour: (3,) of the directed light.
+    """
+
+    towards: Vector
+    ambient: float
+    colour: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class World:
+    """A scene before two cameras.
+
+    Attributes:
+        hw: height and width of the views, px.
+        focal_px: of both cameras.
+        centre_px: (x, y) principal point of ref.
+        baseline: distance of the cameras.
+        offset_px: disparity of what is infinitely far.
+        solids: in any order.
+        light: one for the whole scene.
+        sky: material of what no ray meets.
+    """
+
+    hw: tuple[int, int]
+    focal_px: float
+    centre_px: tuple[float, float]
+    baseline: float
+    offset_px: float
+    solids: tuple[Solid, ...]
+    light: Light
+    sky: Material
