@@ -3,9 +3,9 @@
     image ─ features: guide (1/2), pyramid to 1/32 and back ─ matching features, trunk (1/4)
     matching features ─ unit-length group correlation ─ hourglass gated by ref's trunk ─ mode expectation (1/4)
     ─ two gated recurrent updates that see the volume around the present guess (1/4) ─ convex upsampling (1/2)
-    ─ one update against the warped guide, half-pixel planes around the guess (1/2) ─ convex upsampling (1/1)
+    ─ one update against the warped guide (1/2) ─ convex upsampling (1/1)
 
-Little is spent on 3-D convolution: features and updates carry over to pictures never seen better than filtered volumes do.
+Little is spent on 3-D convolution: features and updates carry over to unseen pictures better than filtered volumes.
 What the updates know of a disparity is its difference from its neighbourhood, so that a moved window moves the result.
 No normalisation layer: a tile sees what the whole image would. Widths are multiples of 16.
 Letters: B batch, C channels, G groups, D planes, H W grid at hand.
@@ -106,7 +106,11 @@ class _Hourglass(nn.Module):
         self.down2 = nn.Sequential(Conv3d(32, 48, stride=2), relu, Conv3d(48, 48), relu)
         self.down3 = nn.Sequential(Conv3d(48, 64, stride=2), relu, Conv3d(64, 64), relu)
         self.gates = nn.ModuleList([nn.Conv2d(QUARTER, c, 1) for c in (16, 32, 48)])
-        self.lift3, self.lift2, self.lift1 = Conv3d(64, 48, kernel=1), Conv3d(48, 32, kernel=1), Conv3d(32, 16, kernel=1)
+        self.lift3, self.lift2, self.lift1 = (
+            Conv3d(64, 48, kernel=1),
+            Conv3d(48, 32, kernel=1),
+            Conv3d(32, 16, kernel=1),
+        )
         self.mix2 = nn.Sequential(Conv3d(48, 48), relu)
         self.mix1 = nn.Sequential(Conv3d(32, 32), relu)
         self.mix0 = nn.Sequential(Conv3d(16, 16), relu)
@@ -147,8 +151,9 @@ class _Update(nn.Module):
         self.context = _conv(HIDDEN, 3 * HIDDEN)
         self.gates = _conv(HIDDEN + 32, 2 * HIDDEN)
         self.candidate = _conv(HIDDEN + 32, HIDDEN)
-        self.residual = nn.Sequential(_conv(HIDDEN, 32), nn.ReLU(inplace=True), _conv(32, 1))
-        nn.init.zeros_(self.residual[-1].weight)
+        last = _conv(32, 1)
+        self.residual = nn.Sequential(_conv(HIDDEN, 32), nn.ReLU(inplace=True), last)
+        nn.init.zeros_(last.weight)
 
     def forward(self, hidden: Tensor, context: tuple[Tensor, ...], seen: Tensor) -> tuple[Tensor, Tensor]:
         x = self.encode(seen)
@@ -167,13 +172,17 @@ class GuidedMatching(nn.Module):
         self.hourglass = _Hourglass()
         # The mean correlation goes straight to the output: training starts at once instead of after a plateau.
         self.correlation_scale = nn.Parameter(torch.tensor(8.0))
-        self.context = nn.Sequential(_conv(QUARTER, 2 * HIDDEN), nn.ReLU(inplace=True), nn.Conv2d(2 * HIDDEN, 2 * HIDDEN, 1))
+        self.context = nn.Sequential(
+            _conv(QUARTER, 2 * HIDDEN), nn.ReLU(inplace=True), nn.Conv2d(2 * HIDDEN, 2 * HIDDEN, 1)
+        )
         self.update = _Update()
         self.up_weights = nn.Sequential(_conv(HIDDEN, 48), nn.ReLU(inplace=True), nn.Conv2d(48, 9 * 4, 1))
         self.half_features = nn.Conv2d(GUIDE, HALF_CHANNELS, 1)
         self.half_hidden = nn.Conv2d(HIDDEN, GUIDE, 1)
         seen = HALF_GROUPS * (2 * HALF_REACH + 1) + GUIDE + 1
-        self.half_enter = nn.Sequential(_conv(seen, 32), nn.ReLU(inplace=True), _Residual(32), _Residual(32, dilation=2))
+        self.half_enter = nn.Sequential(
+            _conv(seen, 32), nn.ReLU(inplace=True), _Residual(32), _Residual(32, dilation=2)
+        )
         self.half_residual = _conv(32, 1)
         self.half_weights = nn.Conv2d(32, 9 * 4, 1)
         self.half_heads = _conv(32, 2)
@@ -194,14 +203,15 @@ class GuidedMatching(nn.Module):
         half_px = upsample_convex(guesses[-1], self.up_weights(hidden), factor=2)
         refined_px, fine = self._at_half(half_px, hidden, ref[1], src[1])
         full_px = upsample_convex(refined_px, self.half_weights(fine), factor=2)
-        heads = functional.interpolate(self.half_heads(fine).float(), scale_factor=2, mode="bilinear", align_corners=False)
+        heads = _doubled(self.half_heads(fine).float())
         return [*(_nearest(d, 4) for d in (coarse_px, *guesses)), _nearest(half_px, 2), full_px], logits, heads
 
     def _regularised(self, correlation: Tensor, trunk: Tensor) -> Tensor:
         planes = correlation.shape[2]
         padded = functional.pad(correlation, (0, 0, 0, 0, 0, -planes % DEEPEST_STRIDE))
         volume = padded.contiguous(memory_format=torch.channels_last_3d)
-        return self.hourglass(volume, trunk)[:, :planes].float()
+        regularised: Tensor = self.hourglass(volume, trunk)[:, :planes]
+        return regularised.float()
 
     def _updated(
         self, coarse_px: Tensor, logits: Tensor, mean: Tensor, trunk: Tensor, window: Window
@@ -227,9 +237,7 @@ class GuidedMatching(nn.Module):
         ref, src = (self.half_features(guide) for guide in (ref_guide, src_guide))
         warped = warp_to_ref(src, start_px / 2)
         near = _near_correlation(ref.float(), warped.float())
-        lifted = functional.interpolate(
-            self.half_hidden(hidden), scale_factor=2, mode="bilinear", align_corners=False
-        )
+        lifted = _doubled(self.half_hidden(hidden))
         relief = _relief(start_px)[:, None] / DISPARITY_SCALE_PX
         seen = torch.cat((near.to(ref_guide.dtype), ref_guide + lifted, relief.to(ref_guide.dtype)), dim=1)
         fine = self.half_enter(seen)
@@ -237,7 +245,7 @@ class GuidedMatching(nn.Module):
 
 
 def _around(volume_BDHW: Tensor, position_BHW: Tensor) -> Tensor:
-    """Values of a volume at -REACH to REACH planes about a fractional plane, (B, 2 REACH + 1, H, W); its ends repeat."""
+    """Values of a volume at -REACH to REACH planes about a fractional one, (B, 2 REACH + 1, H, W); its ends repeat."""
     planes = volume_BDHW.shape[1]
     low = position_BHW.floor()
     fraction = (position_BHW - low)[:, None]
@@ -261,6 +269,10 @@ def _near_correlation(ref_BCHW: Tensor, warped_BCHW: Tensor) -> Tensor:
     padded = functional.pad(warped, (HALF_REACH, HALF_REACH))
     steps = range(2 * HALF_REACH + 1)
     return torch.cat([(ref * padded[..., first : first + width]).sum(dim=2) for first in steps], dim=1)
+
+
+def _doubled(x: Tensor) -> Tensor:
+    return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 def _nearest(values_BHW: Tensor, factor: int) -> Tensor:

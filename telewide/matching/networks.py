@@ -18,7 +18,7 @@ from telewide.matching.lite import LiteFeatures, LiteMatching
 from telewide.matching.psmnet import PsmnetFeatures, PsmnetMatching, initialise_psmnet
 from telewide.matching.window import Window
 
-SIZE_MULTIPLE_PX = 32
+SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
 WIDEST_CONTEXT_PX = 320
 """Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
@@ -33,8 +33,8 @@ class NetworkOutput:
     Attributes:
         disparities_px: (B, H, W) each, coarse to fine; the last is the result.
         logits_BDHW: (B, D, H/4, W/4) regularised volume, from which confidence and the left-right check are read.
-        heads_BCHW: (B, 2, H, W) logits, where a network has them: that the error is below 1 px, and that src does not see
-            the pixel.
+        heads_BCHW: (B, 2, H, W) logits, where a network has them: that the error is below 1 px, that the pixel is
+            hidden from src.
     """
 
     disparities_px: list[Tensor]

@@ -23,6 +23,8 @@ from telewide.simulate.raycast.render import cast_pair
 
 KEPT_WORLDS = 64
 WORLDS_A_PALETTE = 250
+PALETTE_SIZE = 96
+"""Textures, and as many outlines."""
 WORLD_HW = (288, 480)
 
 
@@ -81,7 +83,10 @@ class WorldSamples:
         if step:
             # What is new is seen at once, so that the work of casting is spread evenly.
             numbers[: self.worlds_a_step] = newest - np.arange(self.worlds_a_step)
-        samples = [self._sample(int(number), np.random.default_rng([self.seed, 2, step, k]), window) for k, number in enumerate(numbers)]
+        samples = [
+            self._sample(int(number), np.random.default_rng([self.seed, 2, step, k]), window)
+            for k, number in enumerate(numbers)
+        ]
         ref, src, truth, occluded = (torch.stack(parts) for parts in zip(*samples, strict=True))
         return WorldBatch(ref, src, truth, occluded, window)
 
@@ -127,7 +132,7 @@ class WorldSamples:
         epoch = number // WORLDS_A_PALETTE
         if self._palette is None or self._palette[0] != epoch:
             rng = np.random.default_rng([self.seed, 4, epoch])
-            self._palette = (epoch, draw_palette(rng, n_textures=96, n_outlines=96))
+            self._palette = (epoch, draw_palette(rng, n_textures=PALETTE_SIZE, n_outlines=PALETTE_SIZE))
         return self._palette[1]
 
 

@@ -70,15 +70,16 @@ def draw_world(
     nearness = 1 + math.exp(rng.uniform(math.log(0.15), math.log(6.0)))
     baseline = (near_px - far_px) / (focal_px * (nearness - 1))
     centre_px = (hw[1] * rng.uniform(0.4, 0.6), hw[0] * rng.uniform(0.3, 0.6))
-    draft = _Draft(rng, hw, focal_px, centre_px, nearness, None, palette, _NO_MATERIAL, math.exp(rng.uniform(-0.3, 1.1)))
+    draft = _Draft(
+        rng, hw, focal_px, centre_px, nearness, None, palette, _NO_MATERIAL, math.exp(rng.uniform(-0.3, 1.1))
+    )
     draft = replace(draft, backdrop=_material(draft, depth=1.0))
     draft, background = _background(draft)
     solids = [*background]
-    for _ in range(int(rng.integers(4, 26))):
-        solids.append(_single(draft))
+    solids += [_single(draft) for _ in range(int(rng.integers(4, 26)))]
     for _ in range(int(rng.choice([0, 0, 1, 1, 2]))):
         solids += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
-    light = Light(_unit(rng.normal(0, 1, 3) + [0, -1.2, -0.8]), rng.uniform(0.25, 0.75), _light_colour(rng))
+    light = Light(_unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth=1.0), gloss=0.0, macro_contrast=0.3)
     return World(
         hw, focal_px, centre_px, baseline, far_px - focal_px * baseline, tuple(_with_shadows(solids, rng)), light, sky
@@ -197,7 +198,9 @@ def _in_room(draft: _Draft) -> tuple[_Draft, list[Solid]]:
         np.array([1.0, 0, 0]), rng.normal(0, 0.08)
     )
     # Only the far wall and what of the others lies before the nearest depth: the camera stands outside the other end.
-    room = Solid(Kind.ROOM, turn, turn @ np.array([0.0, 0.0, -2.0]) * 1.0, np.array([half_x, half_y, 3.0]), draft.backdrop)
+    room = Solid(
+        Kind.ROOM, turn, turn @ np.array([0.0, 0.0, -2.0]) * 1.0, np.array([half_x, half_y, 3.0]), draft.backdrop
+    )
     return draft, [room]
 
 
@@ -291,9 +294,7 @@ def _sheet(draft: _Draft) -> Solid:
     waves = None
     if rng.random() < 0.35 and radius_px > 20:
         waves = _waves(draft, extent=float(half_size[0]), depth=centre[2])
-    return Solid(
-        Kind.SHEET, turn, centre, half_size, _worn(draft, depth=centre[2]), outline=outline, waves=waves
-    )
+    return Solid(Kind.SHEET, turn, centre, half_size, _worn(draft, depth=centre[2]), outline=outline, waves=waves)
 
 
 _SINGLES: tuple[Callable[[_Draft], Solid], ...] = (_ellipsoid, _box, _cone, _rod, _sheet)
@@ -326,11 +327,10 @@ def _chair(draft: _Draft) -> list[Solid]:
 
     parts = [part(Kind.BOX, (0, 0, 0), (side / 2, 2 * leg, side / 2))]
     for x in (-1, 1):
-        for z in (-1, 1):
-            parts.append(part(Kind.BOX, (x * side / 2, down / 2, z * side / 2), (leg, down / 2, leg)))
+        parts += [part(Kind.BOX, (x * side / 2, down / 2, z * side / 2), (leg, down / 2, leg)) for z in (-1, 1)]
         parts.append(part(Kind.BOX, (x * side / 2, -down / 2, side / 2), (leg, down / 2, leg)))
-    for i in range(int(rng.integers(1, 5))):
-        parts.append(part(Kind.BOX, (0, -down * (0.25 + 0.2 * i), side / 2), (side / 2, leg, leg)))
+    rails = int(rng.integers(1, 5))
+    parts += [part(Kind.BOX, (0, -down * (0.25 + 0.2 * i), side / 2), (side / 2, leg, leg)) for i in range(rails)]
     return parts
 
 
@@ -361,14 +361,15 @@ _GROUPS: tuple[Callable[[_Draft], list[Solid]], ...] = (_row, _row, _chair, _pla
 
 
 def _unit(v: NDArray[np.float64]) -> Vector:
-    return np.asarray(v / max(1e-9, float(np.linalg.norm(v))))
+    return np.asarray(v / max(1e-9, float(np.linalg.norm(v))), np.float64)
 
 
 def _rotation(axis: Vector, angle_rad: float) -> Matrix:
     """Rodrigues' formula."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross
+    turn = np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross
+    return np.asarray(turn, np.float64)
 
 
 def _turn_with_z(way: Vector) -> Matrix:

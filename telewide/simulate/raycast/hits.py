@@ -1,8 +1,8 @@
 """Where rays meet solids.
 
-A solid lives in local coordinates ``p = local_from_world (P - centre)`` in which it has unit size; a ray is
-``o + t d`` there. Rays of a pinhole camera have ``d_z = 1`` in the world, so that t is the depth. Every function returns
-t of the first hit, inf where there is none, and broadcasts over the maps of the ray's direction.
+A solid lives in local coordinates ``p = local_from_world (P - centre)`` in which it has unit size; a ray is ``o + t d``
+there. Rays of a pinhole camera have ``d_z = 1`` in the world, so that t is the depth. Every function returns t of the
+first hit, inf where there is none, and broadcasts over the maps of the ray's direction.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 NEAREST = 1e-3
-RELIEF_STEPS = 6
+NEWTON_STEPS = 4
 Ray = tuple[Tensor, Tensor, Tensor]
 
 
@@ -62,29 +62,36 @@ def hit_box(origin: Ray, direction: Ray) -> Tensor:
 
 
 def hit_room(origin: Ray, direction: Ray) -> Tensor:
-    """Leave the box that the camera stands in."""
-    return _slabs(origin, direction)[1]
+    """Leave the box; its walls are seen from inside only, so that a camera beside it looks in."""
+    enter, leave = _slabs(origin, direction)
+    return torch.where((enter <= leave) & (leave > NEAREST), leave, torch.inf)
 
 
 def hit_plane(origin: Ray, direction: Ray, *, waves: Tensor | None) -> Tensor:
-    """Meet ``z = relief(x, y)``: exact without waves, by fixed-point steps with them (their slopes are gentle)."""
-    t = _onto_level(origin, direction, torch.zeros(()))
+    """Meet ``z = relief(x, y)``: exact without waves, by Newton's steps from the level plane with them."""
+    t = -origin[2] / _kept_from_zero(direction[2])
     if waves is not None:
-        for _ in range(RELIEF_STEPS):
-            t = _onto_level(origin, direction, relief(origin[0] + t * direction[0], origin[1] + t * direction[1], waves))
+        for _ in range(NEWTON_STEPS):
+            x, y, z = (o + t * d for o, d in zip(origin, direction, strict=True))
+            height, slope_x, slope_y = relief(x, y, waves)
+            t = t - (z - height) / _kept_from_zero(direction[2] - slope_x * direction[0] - slope_y * direction[1])
     return torch.where(t > NEAREST, t, torch.inf)
 
 
-def relief(x: Tensor, y: Tensor, waves: Tensor) -> Tensor:
-    """Add up sines: rows of ``waves`` are (height, wave number along x, along y, phase)."""
-    total = torch.zeros_like(x)
-    for height, k_x, k_y, phase in waves.tolist():
-        total += height * torch.sin(k_x * x + k_y * y + phase)
-    return total
+def relief(x: Tensor, y: Tensor, waves: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Height and both slopes of a sum of sines: rows of ``waves`` are (height, rate in x, rate in y, phase)."""
+    total, slope_x, slope_y = (torch.zeros_like(x) for _ in range(3))
+    for height, rate_x, rate_y, phase in waves.tolist():
+        angle = rate_x * x + rate_y * y + phase
+        total += height * torch.sin(angle)
+        steep = height * torch.cos(angle)
+        slope_x += rate_x * steep
+        slope_y += rate_y * steep
+    return total, slope_x, slope_y
 
 
-def _onto_level(origin: Ray, direction: Ray, level: Tensor) -> Tensor:
-    return (level - origin[2]) / torch.where(direction[2].abs() < 1e-9, 1e-9, direction[2])
+def _kept_from_zero(x: Tensor) -> Tensor:
+    return torch.where(x.abs() < 1e-9, 1e-9, x)
 
 
 def _dot(a: Ray, b: Ray) -> Tensor:

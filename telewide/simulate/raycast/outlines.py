@@ -93,8 +93,8 @@ def _twig(rng: np.random.Generator, canvas: ByteMap) -> None:
             for _ in range(int(rng.integers(1, 4))):
                 _place_leaf(rng, canvas, start + rng.random() * (end - start), angle + rng.normal(0, 1.0))
         if depth < 4:
-            for _ in range(int(rng.integers(1, 4))):
-                stack.append((end, angle + rng.normal(0, 0.6), width * 0.7, depth + 1))
+            forks = int(rng.integers(1, 4))
+            stack += [(end, angle + rng.normal(0, 0.6), width * 0.7, depth + 1) for _ in range(forks)]
 
 
 def _place_leaf(rng: np.random.Generator, canvas: ByteMap, at: NDArray[np.float64], angle: float) -> None:

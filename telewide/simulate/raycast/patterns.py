@@ -56,7 +56,7 @@ def _clouds(rng: np.random.Generator, side: int) -> FloatImage:
     height = _octaves(rng, side, coarsest_px=rng.uniform(8, 200), falloff=rng.uniform(0.55, 1.0))
     ramp = _colours(rng, 3)
     t = np.clip(0.5 + 0.22 * height, 0, 1)[..., None] * 2
-    return np.where(t < 1, ramp[0] + (ramp[1] - ramp[0]) * t, ramp[1] + (ramp[2] - ramp[1]) * (t - 1)).astype(np.float32)
+    return _clipped(np.where(t < 1, ramp[0] + (ramp[1] - ramp[0]) * t, ramp[1] + (ramp[2] - ramp[1]) * (t - 1)))
 
 
 def _dead_leaves(rng: np.random.Generator, side: int) -> FloatImage:
@@ -98,7 +98,7 @@ def _cells(rng: np.random.Generator, side: int) -> FloatImage:
 
 def _wood(rng: np.random.Generator, side: int) -> FloatImage:
     """Rings cut lengthwise, with fibres."""
-    y, x = np.mgrid[:side, :side].astype(np.float32)
+    y = np.arange(side, dtype=np.float32)[:, None]
     bend = _octaves(rng, side, coarsest_px=rng.uniform(60, 200), falloff=0.5)
     phase = y / np.float32(rng.uniform(3, 18)) + np.float32(rng.uniform(0.3, 2)) * bend
     ring = 0.5 + 0.5 * np.sin(phase)
@@ -150,7 +150,7 @@ def _cloth(rng: np.random.Generator, side: int) -> FloatImage:
     weave = np.sin(2 * math.pi * x / period + bend) * np.sin(2 * math.pi * y / period + bend)
     palette = _colours(rng, 6)
     stripes = palette[rng.integers(0, 6, side)[(x / np.float32(rng.uniform(2, 30))).astype(int) % side]]
-    return np.clip(stripes * (1 + np.float32(rng.uniform(0.05, 0.4)) * weave[..., None]), 0, 1).astype(np.float32)
+    return _clipped(stripes * (1 + np.float32(rng.uniform(0.05, 0.4)) * weave[..., None]))
 
 
 def _gradient(rng: np.random.Generator, side: int) -> FloatImage:
@@ -158,7 +158,7 @@ def _gradient(rng: np.random.Generator, side: int) -> FloatImage:
     cloud = band_noise(rng, hw=(side, side), wavelength_px=float(rng.uniform(60, 400)))[..., None]
     grain = _octaves(rng, side, coarsest_px=rng.uniform(3, 30), falloff=0.7)[..., None]
     colour = _colours(rng, 1)[0]
-    return np.clip(colour * (1 + rng.uniform(0, 0.12) * cloud) + rng.uniform(0.004, 0.03) * grain, 0, 1).astype(np.float32)
+    return _clipped(colour * (1 + rng.uniform(0, 0.12) * cloud) + rng.uniform(0.004, 0.03) * grain)
 
 
 def _drawn(rng: np.random.Generator, side: int) -> FloatImage:
@@ -172,7 +172,11 @@ def _repeated(rng: np.random.Generator, side: int) -> FloatImage:
 def _grained(rng: np.random.Generator, picture: FloatImage) -> FloatImage:
     side = picture.shape[0]
     grain = _octaves(rng, side, coarsest_px=rng.uniform(3, 60), falloff=rng.uniform(0.5, 1))[..., None]
-    return np.clip(picture * (1 + np.float32(rng.uniform(0.01, 0.12)) * grain), 0, 1).astype(np.float32)
+    return _clipped(picture * (1 + np.float32(rng.uniform(0.01, 0.12)) * grain))
+
+
+def _clipped(picture: NDArray[np.floating]) -> FloatImage:
+    return np.asarray(np.clip(picture, 0, 1), np.float32)
 
 
 _FAMILIES: tuple[Callable[[np.random.Generator, int], FloatImage], ...] = (

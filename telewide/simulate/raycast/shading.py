@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from telewide.simulate.raycast.hits import Kind
+from telewide.simulate.raycast.hits import Kind, relief
 from telewide.simulate.raycast.palette import Palette, look_up_texture
-from telewide.simulate.raycast.world import Material, World
+from telewide.simulate.raycast.world import Camera, Material, World
 
 SHADOW_EDGE = (0.75, 1.35)
 """Distance from a shadow's axis, in radii of what casts it, at which it is full and over."""
@@ -80,7 +80,7 @@ def _material(material: Material) -> list[float]:
 
 
 def shade(
-    world: World, palette: Palette, paint: Paint, solid: Tensor, depth: Tensor, x: Tensor, y: Tensor, *, camera_x: float
+    world: World, palette: Palette, paint: Paint, solid: Tensor, depth: Tensor, x: Tensor, y: Tensor, *, camera: Camera
 ) -> Tensor:
     """Colour of rays.
 
@@ -92,19 +92,19 @@ def shade(
         depth: (n,) at which depth.
         x: (n,) px.
         y: (n,) px.
-        camera_x: where the camera stands.
+        camera: which of the two.
 
     Returns:
         (n, 3) float32, not yet exposed.
     """
     rows = functional.embedding(solid, paint.rows)
     part = {name: rows[:, _ENDS[name] - size : _ENDS[name]] for name, size in _COLUMNS.items()}
-    ray = torch.stack(((x - world.centre_px[0]) / world.focal_px, (y - world.centre_px[1]) / world.focal_px), dim=-1)
+    ray = torch.stack(((x - camera.centre_px[0]) / world.focal_px, (y - camera.centre_px[1]) / world.focal_px), dim=-1)
     ray = functional.pad(ray, (0, 1), value=1.0)
     far = depth.isinf()
     depth = torch.where(far, 1.0, depth)
     point = ray * depth[:, None]
-    point[:, 0] += camera_x * ~far
+    point[:, 0] += camera.x * ~far
     local_from_world = part["local"].reshape(-1, 3, 3)
     local = torch.einsum("nij,nj->ni", local_from_world, point - part["centre"])
     normal_local, axis = _normal(local, part["kind"][:, 0], part["taper"][:, 0], solid, paint)
@@ -132,12 +132,8 @@ def _normal(local: Tensor, kind: Tensor, taper: Tensor, solid: Tensor, paint: Pa
     normal = torch.where(round_one, local, torch.where((is_cone & ~on_end)[:, None], mantle, normal))
     for number, waves in paint.waves:
         place = (solid == number).nonzero()[:, 0]
-        slope = torch.zeros(len(place), 2, device=local.device)
-        for height, k_x, k_y, phase in waves.tolist():
-            wave = height * torch.cos(k_x * local[place, 0] + k_y * local[place, 1] + phase)
-            slope[:, 0] -= k_x * wave
-            slope[:, 1] -= k_y * wave
-        normal[place, :2] = slope
+        _, slope_x, slope_y = relief(local[place, 0], local[place, 1], waves)
+        normal[place, :2] = -torch.stack((slope_x, slope_y), dim=-1)
     return normal, axis
 
 

@@ -1,7 +1,8 @@
 """What a ray-cast world consists of: solids with materials, a light, two cameras side by side.
 
-The cameras look along z, x right, y down; ref stands at the origin, src at ``(baseline, 0, 0)``. A point at depth Z has
-the disparity ``x_ref - x_src = focal_px baseline / Z + offset_px``. The unit of length is the depth of the background.
+The cameras look along z, x right, y down; ref stands at the origin, src at ``(baseline, 0, 0)``, its principal point
+``offset_px`` further to the left. A point at depth Z has the disparity
+``x_ref - x_src = focal_px baseline / Z + offset_px``. The unit of length is the depth of the background.
 """
 
 from __future__ import annotations
@@ -90,6 +91,19 @@ class Light:
 
 
 @dataclass(frozen=True)
+class Camera:
+    """One of the two cameras.
+
+    Attributes:
+        x: where it stands on the baseline, world.
+        centre_px: (x, y) principal point.
+    """
+
+    x: float
+    centre_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class World:
     """A scene before two cameras.
 
@@ -112,3 +126,13 @@ class World:
     solids: tuple[Solid, ...]
     light: Light
     sky: Material
+
+    @property
+    def ref(self) -> Camera:
+        """The camera of the sharp view."""
+        return Camera(0.0, self.centre_px)
+
+    @property
+    def src(self) -> Camera:
+        """The camera of the other view."""
+        return Camera(self.baseline, (self.centre_px[0] - self.offset_px, self.centre_px[1]))
