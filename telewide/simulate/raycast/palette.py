@@ -69,7 +69,7 @@ def draw_palette(
     return Palette(*(torch.from_numpy(np.ascontiguousarray(array, np.float32)) for array in (table, distances, means)))
 
 
-def look_up_texture(palette: Palette, texture: Tensor, uv: Tensor, texels_per_px: Tensor) -> Tensor:
+def look_up_texture(palette: Palette, texture: Tensor, uv: Tensor, *, texels_per_px: Tensor) -> Tensor:
     """Read textures, bilinear in the pyramid's level nearest to one texel a pixel.
 
     Args:
@@ -89,14 +89,12 @@ def look_up_texture(palette: Palette, texture: Tensor, uv: Tensor, texels_per_px
     return _bilinear(palette.textures, position, first, side)
 
 
-def look_up_outline(palette: Palette, outline: Tensor | int, u: Tensor, v: Tensor) -> Tensor:
-    """Signed distance at (u, v) in [-1, 1], bilinear; the shape of u."""
-    uv = torch.stack((u.reshape(-1), v.reshape(-1)), dim=-1)
+def look_up_outline(palette: Palette, outline: int, uv: Tensor) -> Tensor:
+    """(n,) signed distance of an outline at (n, 2) positions in [-1, 1], bilinear."""
     position = (uv + 1) * (OUTLINE_PX / 2) - 0.5
     position = position.clamp(0, OUTLINE_PX - 1)
-    side = torch.full((len(position),), OUTLINE_PX, device=u.device)
-    first = torch.as_tensor(outline, device=u.device).expand(len(position)) * OUTLINE_PX**2
-    return _bilinear(palette.outlines, position, first, side).reshape(u.shape)
+    side = torch.full((len(position),), OUTLINE_PX, device=uv.device)
+    return _bilinear(palette.outlines, position, torch.full_like(side, outline * OUTLINE_PX**2), side)[:, 0]
 
 
 def _bilinear(table: Tensor, position: Tensor, first: Tensor, side: Tensor) -> Tensor:

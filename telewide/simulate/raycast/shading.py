@@ -26,13 +26,17 @@ MIRRORED_TEXELS = 90.0
 
 @dataclass(frozen=True)
 class Paint:
-    """The table of a world.
+    """A world with what it is painted with.
 
     Attributes:
+        world: the scene.
+        palette: its textures.
         rows: (N + 1, columns) float32, the last row for the sky.
         waves: solids with a relief, and theirs.
     """
 
+    world: World
+    palette: Palette
     rows: Tensor
     waves: tuple[tuple[int, Tensor], ...]
 
@@ -63,7 +67,7 @@ def paint_of(world: World, palette: Palette) -> Paint:
         for number, solid in enumerate(world.solids)
         if solid.waves is not None
     )
-    return Paint(torch.tensor(rows, dtype=torch.float32, device=device), waves)
+    return Paint(world, palette, torch.tensor(rows, dtype=torch.float32, device=device), waves)
 
 
 def _material(material: Material) -> list[float]:
@@ -79,27 +83,31 @@ def _material(material: Material) -> list[float]:
     ]
 
 
-def shade(
-    world: World, palette: Palette, paint: Paint, solid: Tensor, depth: Tensor, x: Tensor, y: Tensor, *, camera: Camera
-) -> Tensor:
-    """Colour of rays.
+@dataclass(frozen=True)
+class Hits:
+    """What rays have met.
 
-    Args:
-        world: the scene.
-        palette: its textures.
-        paint: its table.
-        solid: (n,) int64 which solid each ray has met; N for the sky.
-        depth: (n,) at which depth.
-        x: (n,) px.
-        y: (n,) px.
-        camera: which of the two.
-
-    Returns:
-        (n, 3) float32, not yet exposed.
+    Attributes:
+        x_px: (n,) where each ray goes through the view.
+        y_px: (n,) likewise.
+        solid: (n,) int64 which solid it meets; N for the sky.
+        depth: (n,) at which depth; inf for the sky.
     """
+
+    x_px: Tensor
+    y_px: Tensor
+    solid: Tensor
+    depth: Tensor
+
+
+def shade(paint: Paint, hits: Hits, *, camera: Camera) -> Tensor:
+    """Colour of rays: (n, 3) float32, not yet exposed."""
+    world, palette, solid, depth = paint.world, paint.palette, hits.solid, hits.depth
     rows = functional.embedding(solid, paint.rows)
     part = {name: rows[:, _ENDS[name] - size : _ENDS[name]] for name, size in _COLUMNS.items()}
-    ray = torch.stack(((x - camera.centre_px[0]) / world.focal_px, (y - camera.centre_px[1]) / world.focal_px), dim=-1)
+    ray = torch.stack(
+        ((hits.x_px - camera.centre_px[0]) / world.focal_px, (hits.y_px - camera.centre_px[1]) / world.focal_px), dim=-1
+    )
     ray = functional.pad(ray, (0, 1), value=1.0)
     far = depth.isinf()
     depth = torch.where(far, 1.0, depth)
@@ -145,8 +153,8 @@ def _albedo(
     texels_per_px = part["density"][:, 0] * depth / world.focal_px
     uv = position.gather(1, other) * part["density"] + part["offset"]
     texture, macro = part["texture"][:, 0].long(), part["macro"][:, 0].long()
-    fine = look_up_texture(palette, texture, uv, texels_per_px / facing.clamp(min=0.1).sqrt())
-    coarse = look_up_texture(palette, macro, uv * MACRO_RATIO, texels_per_px * MACRO_RATIO)
+    fine = look_up_texture(palette, texture, uv, texels_per_px=texels_per_px / facing.clamp(min=0.1).sqrt())
+    coarse = look_up_texture(palette, macro, uv * MACRO_RATIO, texels_per_px=texels_per_px * MACRO_RATIO)
     mean = functional.embedding(texture, palette.means)
     shade_of_coarse = (coarse - functional.embedding(macro, palette.means)).mean(dim=-1, keepdim=True)
     colour = mean + part["contrast"] * (fine - mean)
@@ -182,7 +190,7 @@ def _mirror(
     reflected = way - 2 * (way * n).sum(dim=-1, keepdim=True) * n
     macro = part["macro"][place, 0].long()
     coarse = torch.full((len(place),), 8.0, device=colour.device)
-    seen = look_up_texture(palette, macro, reflected[:, :2] * MIRRORED_TEXELS, coarse)
+    seen = look_up_texture(palette, macro, reflected[:, :2] * MIRRORED_TEXELS, texels_per_px=coarse)
     gloss = part["gloss"][place]
     colour[place] = colour[place] + gloss * (1.6 * seen - 0.5)
     return colour

@@ -96,11 +96,15 @@ class Camera:
 
     Attributes:
         x: where it stands on the baseline, world.
+        focal_px: focal length.
         centre_px: (x, y) principal point.
+        hw: height and width of its view, px.
     """
 
     x: float
+    focal_px: float
     centre_px: tuple[float, float]
+    hw: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -130,9 +134,10 @@ class World:
     @property
     def ref(self) -> Camera:
         """The camera of the sharp view."""
-        return Camera(0.0, self.centre_px)
+        return Camera(0.0, self.focal_px, self.centre_px, self.hw)
 
     @property
     def src(self) -> Camera:
         """The camera of the other view."""
-        return Camera(self.baseline, (self.centre_px[0] - self.offset_px, self.centre_px[1]))
+        centre_px = (self.centre_px[0] - self.offset_px, self.centre_px[1])
+        return Camera(self.baseline, self.focal_px, centre_px, self.hw)

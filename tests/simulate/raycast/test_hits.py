@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from telewide.simulate.raycast.arrange import draw_world
+from telewide.simulate.raycast.casting import first_hit
 from telewide.simulate.raycast.hits import Kind
 from telewide.simulate.raycast.palette import Palette, draw_palette
-from telewide.simulate.raycast.render import first_hit
 from telewide.simulate.raycast.world import Camera, Solid, World
 
 RAYS = 160
@@ -99,7 +99,7 @@ def test_a_ray_ends_where_marching_along_it_ends(kind: Kind, seed: int, palette:
     solid = random_solid(kind, world, seed=seed)
     x, y = rng.uniform(0, 96, RAYS), rng.uniform(0, 64, RAYS)
     camera = (world.ref, world.src)[seed % 2]
-    found = first_hit(solid, palette, torch.from_numpy(x), torch.from_numpy(y), world, camera=camera).numpy()
+    found = first_hit(solid, torch.from_numpy(x), torch.from_numpy(y), camera=camera, palette=palette).numpy()
     expected = np.array([march(solid, world, *xy, camera=camera) for xy in zip(x, y, strict=True)])
     found = np.where(found < FARTHEST, found, math.inf)
     # A ray that grazes an outline may be told either way.

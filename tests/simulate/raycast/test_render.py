@@ -10,8 +10,9 @@ import pytest
 import torch
 
 from telewide.simulate.raycast.arrange import draw_world
+from telewide.simulate.raycast.casting import first_hit
 from telewide.simulate.raycast.palette import Palette, draw_palette
-from telewide.simulate.raycast.render import CastPair, cast_pair, first_hit
+from telewide.simulate.raycast.render import CastPair, cast_pair
 from telewide.simulate.raycast.world import World
 
 HW = (120, 208)
@@ -71,7 +72,7 @@ def test_hidden_is_what_a_ray_from_src_does_not_reach(seed: int, palette: Palett
     disparity = pair.disparity_px.numpy()[y, x].astype(np.float64)
     x_src = torch.from_numpy(x - disparity)
     depths = [
-        first_hit(solid, palette, x_src, torch.from_numpy(y).double(), world, camera=world.src)
+        first_hit(solid, x_src, torch.from_numpy(y).double(), camera=world.src, palette=palette)
         for solid in world.solids
     ]
     depth = torch.stack(depths).amin(dim=0).numpy()
