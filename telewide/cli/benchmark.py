@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.console import DeviceOption, RigOption, check_device, console_observer
+from telewide.cli.arguments import DeviceOption, RigOption, check_device
+from telewide.cli.console import console_observer
 from telewide.errors import UsageError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""``telewide calibrate`` and ``telewide show``: a rig from photos of a board, and a rig in words."""
+"""``telewide calibrate``: a rig from photos of a board, or from ordinary captures."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.console import JsonOption, QuietOption, console_observer, print_json
+from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
+from telewide.cli.console import console_observer, print_json
 from telewide.errors import QualityError, UsageError
 from telewide.text import command_line
 
@@ -48,12 +49,10 @@ F35Option = Annotated[
     str | None,
     typer.Option(metavar="TELE,WIDE", help="35 mm equivalents where EXIF has none, such as 80,27; with --from-scenes."),
 ]
-DEFAULT_RIG = Path("rig.yaml")
 CALIBRATE_EPILOG = (
     "Example: `telewide calibrate --square-m 0.0243`, with the photos in boards/; "
     "without a board: `telewide calibrate captures/ --from-scenes`"
 )
-SHOW_EPILOG = "Example: `telewide show rig.yaml`"
 
 
 def calibrate(
@@ -92,23 +91,6 @@ def calibrate(
         _say_next(stored, observer)
     answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(stored, done.notes)}
     _hand_over(stored.quality, answer, again="Then run the same command again.", as_json=as_json)
-
-
-def show(
-    rig: Annotated[Path, typer.Argument(metavar="RIG", help="A rig.yaml.")] = DEFAULT_RIG,
-    *,
-    as_json: JsonOption = False,
-) -> None:
-    """Print a rig for people: lenses, their distance, how sure each number is, and what the rig is worth."""
-    from telewide.calibration.rig_file import read_rig
-    from telewide.files import read_yaml
-    from telewide.pages.rig_text import rig_lines
-
-    stored = read_rig(rig)
-    if as_json:
-        print_json(cast(dict[str, object], read_yaml(rig)))
-    else:
-        typer.echo("\n".join(rig_lines(stored)))
 
 
 def _check_out(out: Path) -> None:

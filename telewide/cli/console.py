@@ -1,16 +1,14 @@
-"""What the commands have in common at a console: options that are said alike, bars, and answers in JSON."""
+"""What the commands show at a console: the progress of a pipeline, bars, and answers in JSON."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from telewide.errors import UsageError
 from telewide.text import json_text
 from telewide.training.processes import this_process
 
@@ -18,14 +16,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from telewide.cli.progress import ConsoleObserver
-
-DEVICES = ("auto", "cpu", "cuda")
-DeviceOption = Annotated[str, typer.Option(metavar="|".join(DEVICES), help="Where to compute.")]
-RigOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
 
 
 @dataclass(frozen=True)
@@ -42,19 +32,6 @@ class Bar:
     def reach(self, done: int, total: int) -> None:
         """So many of so many are done."""
         self._progress.update(self._task, completed=done, total=total)
-
-
-def check_device(device: str) -> None:
-    """Refuse what is no device.
-
-    Args:
-        device: as given to ``--device``.
-
-    Raises:
-        UsageError: another word.
-    """
-    if device not in DEVICES:
-        raise UsageError(f"--device {device}: expected {', '.join(DEVICES[:-1])} or {DEVICES[-1]}")
 
 
 @contextmanager

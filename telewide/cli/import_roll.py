@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.console import JsonOption, QuietOption, bar, print_json
+from telewide.cli.arguments import JsonOption, QuietOption
+from telewide.cli.console import bar, print_json
 from telewide.errors import InputError, UsageError
 from telewide.text import command_line, counted
 

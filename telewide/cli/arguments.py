@@ -1,0 +1,53 @@
+"""Arguments and options that several commands say alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telewide.errors import UsageError
+
+DEFAULT_RIG = Path("rig.yaml")
+DEVICES = ("auto", "cpu", "cuda")
+DeviceOption = Annotated[str, typer.Option(metavar="|".join(DEVICES), help="Where to compute.")]
+RigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
+CapturesArgument = Annotated[Path, typer.Argument(help="Folder of the captures.")]
+RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, or a YAML file.")]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe; may be repeated.")
+]
+DistanceOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,M|exif",
+        help="A point of the tele photo and its distance, metres; exif: its middle, at the focus EXIF states.",
+    ),
+]
+SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
+METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, needs no training."
+FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
+FNumberOption = Annotated[
+    float | None, typer.Option(help="Aperture of the 50 mm lens to imitate; needs the lenses' distance.")
+]
+StrengthOption = Annotated[
+    float | None, typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the width]")
+]
+
+
+def check_device(device: str) -> None:
+    """Refuse what is no device.
+
+    Args:
+        device: as given to ``--device``.
+
+    Raises:
+        UsageError: another word.
+    """
+    if device not in DEVICES:
+        raise UsageError(f"--device {device}: expected {', '.join(DEVICES[:-1])} or {DEVICES[-1]}")

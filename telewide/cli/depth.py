@@ -1,0 +1,172 @@
+"""``telewide depth``: disparity, metres and bokeh of every capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from telewide.cli.arguments import (
+    METHOD_HELP,
+    CapturesArgument,
+    DeviceOption,
+    DistanceOption,
+    FNumberOption,
+    FocusOption,
+    JsonOption,
+    QuietOption,
+    RigOption,
+    StrengthOption,
+    check_device,
+)
+from telewide.cli.console import console_observer, print_json
+from telewide.errors import UsageError
+from telewide.text import counted
+
+if TYPE_CHECKING:
+    from telewide.bokeh.picture import BokehOptions
+    from telewide.cli.progress import ConsoleObserver
+    from telewide.pipeline import DepthOptions, DepthRun
+
+DEPTH_EPILOG = "Example: `telewide depth --bokeh --focus near`; without a trained run: `telewide depth --method sgm`"
+
+
+def depth(
+    captures: CapturesArgument = Path("captures"),
+    *,
+    # torchrun takes what begins like its own --run-path for itself: hence a second name.
+    run: Annotated[
+        Path | None, typer.Option("--run", "--run-folder", help="Run folder of a training. [default: run/]")
+    ] = None,
+    weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
+    method: Annotated[str, typer.Option(metavar="joint|network|sgm", help=METHOD_HELP)] = "joint",
+    bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,
+    focus: FocusOption = "auto",
+    f_number: FNumberOption = None,
+    strength: StrengthOption = None,
+    rig: RigOption = None,
+    distance: DistanceOption = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: RUN/depth]")] = None,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Compute disparity, depth where the scale is known, and bokeh."""
+    if not bokeh and (focus != "auto" or f_number is not None or strength is not None):
+        raise UsageError("--focus, --f-number and --strength shape the bokeh picture", hint="add --bokeh")
+    if method == "sgm" and weights is not None:
+        raise UsageError(
+            "--method sgm matches without a network, and --weights names one", hint="leave one of them out"
+        )
+    if method == "sgm" and device == "cuda":
+        raise UsageError("--method sgm runs on the processor, not on a GPU", hint="leave --device out")
+    options = depth_options(
+        method=method,
+        weights=weights,
+        bokeh=bokeh_options(focus=focus, f_number=f_number, strength=strength) if bokeh else None,
+        out=out,
+        device=device,
+        rig=rig,
+        distance=distance,
+    )
+    from telewide.pipeline import depth_captures, recipe_of_depth
+
+    with console_observer(is_quiet=quiet, shows_table=False) as observer:
+        recipe = recipe_of_depth(run, captures, weights=weights)
+        done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
+        say_depth(done, observer)
+    if as_json:
+        print_json(depth_as_json(done))
+
+
+def depth_options(
+    *,
+    method: str,
+    weights: Path | None,
+    bokeh: BokehOptions | None,
+    out: Path | None,
+    device: str,
+    rig: Path | None,
+    distance: str | None,
+) -> DepthOptions:
+    """Turn words of the command line into the options of depth.
+
+    Args:
+        method: as given to ``--method``.
+        weights: a file, or None for the run's newest.
+        bokeh: None for no bokeh picture.
+        out: folder for the results, or None for the run's.
+        device: as given to ``--device``.
+        rig: a file, or None for the one by the captures.
+        distance: as given to ``--distance``.
+
+    Raises:
+        UsageError: a word that is none of the known ones, or a file that is not there.
+    """
+    from telewide.depth.pin import parse_known_distance
+    from telewide.pipeline import DepthOptions
+    from telewide.stages.match import METHODS
+
+    check_device(device)
+    if method not in METHODS:
+        raise UsageError(f"--method {method}: expected {', '.join(METHODS)}")
+    if weights is not None and not weights.is_file():
+        raise UsageError(f"{weights} does not exist; a weights file was expected")
+    trusts_focus = distance == "exif"
+    return DepthOptions(
+        method=method,
+        weights=weights,
+        bokeh=bokeh,
+        out=out,
+        device=device,
+        rig=rig,
+        known=None if distance is None or trusts_focus else parse_known_distance(distance),
+        trusts_focus=trusts_focus,
+    )
+
+
+def bokeh_options(*, focus: str, f_number: float | None, strength: float | None) -> BokehOptions:
+    """Turn words of the command line into the options of the bokeh picture.
+
+    Args:
+        focus: as given to ``--focus``.
+        f_number: of the lens to imitate, or None.
+        strength: radius of the strongest blur, px, or None.
+
+    Raises:
+        UsageError: two strengths, or one that is not above 0.
+    """
+    from telewide.bokeh.picture import BokehOptions
+
+    if f_number is not None and strength is not None:
+        raise UsageError("--f-number and --strength both say how strong the blur is; give one of them")
+    for name, value in (("--f-number", f_number), ("--strength", strength)):
+        if value is not None and not value > 0:
+            raise UsageError(f"{name} {value}: a number above 0 was expected")
+    return BokehOptions(focus=focus, strength_px=strength, f_number=f_number)
+
+
+def say_depth(done: DepthRun, observer: ConsoleObserver) -> None:
+    """Say where depth was written and which files each capture has."""
+    observer.said(f"depth of {counted(len(done.outcomes), 'capture')} in {done.folder}")
+    if done.outcomes:
+        names = sorted(set.intersection(*({path.name for path in outcome.paths} for outcome in done.outcomes)))
+        observer.said(f"each with: {', '.join(names)}")
+
+
+def depth_as_json(done: DepthRun) -> dict[str, object]:
+    """Return what was written as plain data, for ``--json``."""
+    return {
+        "folder": str(done.folder),
+        "captures": [
+            {
+                "name": outcome.name,
+                "files": [str(path) for path in outcome.paths],
+                "notes": list(outcome.notes),
+                "numbers": dict(outcome.numbers),
+            }
+            for outcome in done.outcomes
+        ],
+        "problems": [{"name": problem.name, "message": problem.message} for problem in done.problems],
+    }

@@ -1,0 +1,65 @@
+"""``telewide run``: everything that is still to do, and a page about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telewide.cli.arguments import (
+    CapturesArgument,
+    DeviceOption,
+    DistanceOption,
+    FNumberOption,
+    FocusOption,
+    JsonOption,
+    QuietOption,
+    RecipeOption,
+    RigOption,
+    SeedOption,
+    SetOption,
+    StrengthOption,
+)
+from telewide.cli.console import console_observer, print_json
+from telewide.cli.depth import bokeh_options, depth_as_json, depth_options, say_depth
+
+RUN_EPILOG = "Example: `telewide run examples/captures --recipe quick`"
+
+
+def run_everything(
+    captures: CapturesArgument = Path("captures"),
+    *,
+    recipe: RecipeOption = "default",
+    out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
+    settings: SetOption = None,
+    focus: FocusOption = "auto",
+    f_number: FNumberOption = None,
+    strength: StrengthOption = None,
+    rig: RigOption = None,
+    distance: DistanceOption = None,
+    device: DeviceOption = "auto",
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Do everything that is still to do: train, depth, bokeh, and a report page."""
+    from telewide.pipeline import run_captures
+    from telewide.recipe import load_recipe
+
+    options = depth_options(
+        method="joint",
+        weights=None,
+        bokeh=bokeh_options(focus=focus, f_number=f_number, strength=strength),
+        out=None,
+        device=device,
+        rig=rig,
+        distance=distance,
+    )
+    resolved = load_recipe(recipe, settings=settings or (), seed=seed)
+    with console_observer(is_quiet=quiet) as observer:
+        done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
+        say_depth(done, observer)
+        observer.said(f"report: {done.report}")
+    if as_json:
+        print_json({**depth_as_json(done), "report": str(done.report)})
