@@ -84,6 +84,16 @@ def test_the_number_of_weights_is_that_of_the_table() -> None:
     assert sum(parameter.numel() for parameter in build_network("psmnet-s").parameters()) == expected
 
 
+def test_weights_are_drawn_by_their_fan_out() -> None:
+    """Normal, of variance 2 / (k^n c_out), as in PSMNet."""
+    for module in build_network("psmnet-s").modules():
+        if isinstance(module, nn.Conv2d | nn.Conv3d) and module.weight.numel() > 4000:
+            weight = module.weight.detach()
+            fan_out = weight[0, 0].numel() * module.out_channels
+            assert float(weight.std()) == pytest.approx((2 / fan_out) ** 0.5, rel=0.06)
+            assert abs(float(weight.mean())) < 0.1 * (2 / fan_out) ** 0.5
+
+
 # What a volume says
 
 

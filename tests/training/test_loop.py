@@ -380,6 +380,15 @@ def test_learning_rate_warms_up_and_cools_down() -> None:
     assert rates[-1] == pytest.approx(2e-3 * (LAST_LEARNING_RATE + 0.9 * 0.001 / COOL_DOWN_SHARE))
 
 
+def test_no_gradient_is_longer_than_one(tmp_path: Path, source: SampleSource) -> None:
+    """A lesson a thousand times as loud moves the weights no farther."""
+    state, training = fresh(), training_in(tmp_path, source)
+    loud = stage_of(steps=1000, captured=1, captured_loss="photometric", captured_weight=1e3)
+    take_step(state, StepBatches(source, loud, seed=0)[0], loud, training=training)
+    gradient = torch.cat([p.grad.flatten() for p in state.network.parameters() if p.grad is not None])
+    assert float(gradient.norm()) == pytest.approx(1.0, rel=1e-3)
+
+
 def test_the_average_follows_the_weights(tmp_path: Path, source: SampleSource) -> None:
     stage = stage_of(steps=30, rehearsed=1)
     state = fresh()
