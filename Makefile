@@ -1,4 +1,4 @@
-# make setup | demo | test | test-slow | lint | bench        (each sets up .venv first, once)
+# make setup | demo | test | test-slow | mutants | lint | bench        (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo test test-slow lint bench clean
+.PHONY: setup demo test test-slow mutants lint bench clean
 
 setup: $(STAMP)
 
@@ -26,6 +26,10 @@ test: $(STAMP)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+# Bugs planted one at a time: do the tests catch them? make mutants BUGS="training bokeh" plants some lists only.
+mutants: $(STAMP)
+	$(BIN)/python tests/mutants/run.py $(BUGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

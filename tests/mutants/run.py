@@ -23,7 +23,6 @@ REPO = Path(__file__).resolve().parents[2]
 LEAST_CAUGHT = 0.95
 LONGEST_S = 300
 _PYTEST = ("-m", "pytest", "-x", "-q", "-m", "not slow", "-p", "no:cacheprovider")
-_ENDINGS = {0: "survived", 1: "caught"}
 
 
 @dataclass(frozen=True)
@@ -50,20 +49,20 @@ def copy_tree(folder: Path) -> None:
     """Copy what git tracks, as it is in the working tree."""
     names = subprocess.run(["git", "ls-files", "-z"], cwd=REPO, capture_output=True, text=True, check=True).stdout
     for name in filter(None, names.split("\0")):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         if (REPO / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes((REPO / name).read_bytes())
 
 
 def outcome(folder: Path, tests: tuple[str, ...]) -> str:
     """Run tests in a copy of the tree."""
-    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, *_PYTEST, *tests]
+    variables = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
-        command = [sys.executable, *_PYTEST, *tests]
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=LONGEST_S, check=False)
+        done = subprocess.run(command, cwd=folder, env=variables, capture_output=True, timeout=LONGEST_S, check=False)
     except subprocess.TimeoutExpired:
         return "caught"  # by a test that never ends
-    return _ENDINGS.get(done.returncode, "broken")
+    return {0: "survived", 1: "caught"}.get(done.returncode, "broken")
 
 
 def fate(folder: Path, bug: Bug) -> str:
@@ -84,7 +83,7 @@ def main(words: list[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         copy_tree(Path(folder))
         if outcome(Path(folder), tuple(sorted({test for bug in chosen for test in bug.tests}))) != "survived":
-            sys.stdout.write("the tests fail without any bug: mend them first\n")
+            sys.stderr.write("the tests fail without any bug: mend them first\n")
             return 2
         fates = []
         for bug in chosen:
@@ -92,8 +91,7 @@ def main(words: list[str]) -> int:
             fates.append(fate(Path(folder), bug))
             told = f" ({bug.survives})" if bug.survives else ""
             seconds = time.monotonic() - begun_s
-            sys.stdout.write(f"{fates[-1]:8} {seconds:5.1f} s  {bug.list}: {bug.bug}{told}\n")
-            sys.stdout.flush()
+            sys.stderr.write(f"{fates[-1]:8} {seconds:5.1f} s  {bug.list}: {bug.bug}{told}\n")
     caught = fates.count("caught")
     sys.stdout.write(f"{caught} of {len(fates)} bugs caught\n")
     return 0 if caught >= LEAST_CAUGHT * len(fates) else 1
