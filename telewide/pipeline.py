@@ -24,7 +24,6 @@ from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
 from telewide.depth.pin import KnownDistance, focused_at
-from telewide.depth.precision import DepthPrecision
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint
 from telewide.matching.window import Window, joined_window
@@ -327,12 +326,9 @@ def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: Dep
     processes, begun_s = call.processes, time.monotonic()
     window = _searched(call, prepared, matcher)
     call.observer.matching(len(prepared.pairs), method=options.method)
-    precision = _precision(prepared)
     mine: list[DepthOutcome | DepthFailure] = []
     for item in processes.share(prepared.pairs):
-        mine.append(
-            _depth_of(item, call, prepared, matcher=matcher, window=window, options=options, precision=precision)
-        )
+        mine.append(_depth_of(item, call, prepared, matcher=matcher, window=window, options=options))
         _tell(call.observer, mine[-1])
     results = processes.gathered(tuple(mine))
     for index, result in enumerate(results):
@@ -372,11 +368,10 @@ def _depth_of(
     matcher: Matcher,
     window: Window,
     options: DepthOptions,
-    precision: DepthPrecision | None,
 ) -> DepthOutcome | DepthFailure:
     """Match one pair, bring the result to the photo's own size and edges, and write it."""
     known = _stated_focus(item, call.observer) if options.trusts_focus else options.known
-    shot = _shot(item, precision, known)
+    shot = _shot(item, prepared, known)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -389,12 +384,6 @@ def _depth_of(
     )
 
 
-def _precision(prepared: PreparedSet) -> DepthPrecision | None:
-    """What all depths of the set are uncertain by; None for captures that were rectified when they came."""
-    aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
-    return shot_precision(aligned, rig=prepared.rig) if aligned and prepared.rig is not None else None
-
-
 def _stated_focus(item: PreparedPair, observer: Observer) -> KnownDistance | None:
     """Where EXIF says the tele lens was focused; None, and said, where it says nothing or infinity."""
     facts = read_photo_facts(item.source.tele_path)
@@ -404,9 +393,12 @@ def _stated_focus(item: PreparedPair, observer: Observer) -> KnownDistance | Non
     return focused_at(facts.subject_distance_m, hw=facts.hw)
 
 
-def _shot(item: PreparedPair, precision: DepthPrecision | None, known: KnownDistance | None) -> ShotGeometry | None:
-    if item.alignment is None or precision is None:
+def _shot(item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None) -> ShotGeometry | None:
+    """How the pair lies to its photos, and what its depths are worth; None where it was rectified when it came."""
+    if item.alignment is None or prepared.rig is None:
         return None
+    aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
+    precision = shot_precision(item.alignment, of_set=aligned, rig=prepared.rig)
     return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, known)
 
 

@@ -93,7 +93,7 @@ def depth_std_m(
     return (z_m * np.sqrt(common + relative2 * (1 + 8 * relative2))).astype(np.float32)
 
 
-def lens_shift_std_px(vertical_offsets_px: Sequence[float], *, width_px: int) -> float:
+def lens_shift_std_share(vertical_offset_shares: Sequence[float]) -> float:
     """Spread of the lens's movement along the baseline, from what is seen of it across the baseline.
 
     Stabilisation moves a lens in the picture plane, no direction before the other, away from where it stood for the
@@ -101,16 +101,14 @@ def lens_shift_std_px(vertical_offsets_px: Sequence[float], *, width_px: int) ->
     by a single bad shot. Few shots are pooled with what is usual: ``s^2 = (N s_shots^2 + N0 s_usual^2) / (N + N0)``.
 
     Args:
-        vertical_offsets_px: (N,) one of each shot, by which it departs from the rig, px of the tele photo; NaN for
-            shots without; may be empty.
-        width_px: the longer side of the tele photo.
+        vertical_offset_shares: (N,) one of each shot, by which it departs from the rig, over the longer side of its
+            tele photo, as photos of one set may differ in size; NaN for shots without; may be empty.
 
     Returns:
-        Standard deviation, px of the tele photo.
+        Standard deviation, over the longer side of the tele photo.
     """
-    offsets_px = np.asarray(vertical_offsets_px, dtype=np.float64)
-    offsets_px = offsets_px[np.isfinite(offsets_px)]
-    usual_px = USUAL_SHIFT_SHARE * width_px
-    shots_px = _MAD_TO_STD * float(np.median(np.abs(offsets_px))) if len(offsets_px) else 0.0
-    n = len(offsets_px)
-    return float(np.sqrt((n * shots_px**2 + _USUAL_WEIGHT * usual_px**2) / (n + _USUAL_WEIGHT)))
+    offsets = np.asarray(vertical_offset_shares, dtype=np.float64)
+    offsets = offsets[np.isfinite(offsets)]
+    shots = _MAD_TO_STD * float(np.median(np.abs(offsets))) if len(offsets) else 0.0
+    n = len(offsets)
+    return float(np.sqrt((n * shots**2 + _USUAL_WEIGHT * USUAL_SHIFT_SHARE**2) / (n + _USUAL_WEIGHT)))

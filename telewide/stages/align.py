@@ -25,7 +25,7 @@ from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, fa
 from telewide.correction.moving import MovedRegion, find_moving, moving_note
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.refinement import ShotRefinement, fit_shot, refined_rig
-from telewide.depth.precision import DepthPrecision, lens_shift_std_px
+from telewide.depth.precision import DepthPrecision, lens_shift_std_share
 from telewide.errors import UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
@@ -139,27 +139,33 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
     return None if lying is None else read_rig(lying)
 
 
-def shot_precision(alignments: Sequence[Alignment], *, rig: StoredRig) -> DepthPrecision:
-    """What all depths of a set are uncertain by: the rig's own deviations, and the lens's unseen shift.
+def shot_precision(alignment: Alignment, *, of_set: Sequence[Alignment], rig: StoredRig) -> DepthPrecision:
+    """What all depths of a shot are uncertain by: the rig's own deviations, and the lens's unseen shift.
 
     A rig from scenes does not know where infinitely far things lie; that moves all disparities as the lens's shift
     does, and a known distance takes out both.
 
     Args:
-        alignments: of all shots, whose vertical offsets show how far the lens moves.
+        alignment: of the shot.
+        of_set: of all shots, of any photo size, whose vertical offsets show how far the lens moves.
         rig: the shots were rectified with.
     """
-    tele = alignments[0].geometry.rig.tele
-    fits = [alignment.refinement for alignment in alignments]
-    # A shot whose pose was fitted has no offset of its own.
-    offsets_px = [fit.vertical_offset_px for fit in fits if fit.is_fitted and fit.is_at_once]
-    shift_px = lens_shift_std_px(offsets_px, width_px=max(tele.hw))
-    zero_px = zero_std_px(rig.quality) * tele.hw[1] / rig.rig.tele.hw[1]
+    width_px = max(alignment.geometry.rig.tele.hw)
+    shift_px = width_px * lens_shift_std_share([share for each in of_set if (share := _offset_share(each)) is not None])
+    size = width_px / max(rig.rig.tele.hw)
     return DepthPrecision(
         baseline_std_m=0.0 if rig.transform_std is None else _known(rig.transform_std.baseline_m),
-        f_std_px=0.0 if rig.tele_std is None else _known(rig.tele_std.f_px) * tele.hw[1] / rig.rig.tele.hw[1],
-        lens_shift_std_px=math.hypot(shift_px, zero_px),
+        f_std_px=0.0 if rig.tele_std is None else _known(rig.tele_std.f_px) * size,
+        lens_shift_std_px=math.hypot(shift_px, zero_std_px(rig.quality) * size),
     )
+
+
+def _offset_share(alignment: Alignment) -> float | None:
+    """A shot's vertical offset over the longer side of its tele photo; a shot whose pose was fitted has none."""
+    fit = alignment.refinement
+    if not (fit.is_fitted and fit.is_at_once):
+        return None
+    return fit.vertical_offset_px / max(alignment.geometry.rig.tele.hw)
 
 
 def _known(value: float) -> float:

@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Protocol
 
 from telewide.boards.board import Board, board_points_m, load_board, resized_board
+from telewide.boards.photo_facts import with_checked_facts
 from telewide.boards.recognition import recognise_board
 from telewide.boards.shots import BoardShot, detect_shots, find_board_shots
 from telewide.calibration.exchanged_lenses import refuse_exchanged
 from telewide.calibration.result import Calibration
 from telewide.calibration.rig_file import RIG_FILE, RigFacts, write_rig
-from telewide.calibration.shot_facts import with_checked_facts
 from telewide.calibration.solver import calibrate_rig
 from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image

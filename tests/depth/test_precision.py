@@ -9,7 +9,7 @@ from telewide.depth.precision import (
     DepthPrecision,
     depth_std_m,
     disparity_std_px,
-    lens_shift_std_px,
+    lens_shift_std_share,
 )
 from telewide.geometry.stereo import DisparityMap, FloatMap
 
@@ -88,15 +88,15 @@ def test_confident_disparities_are_surer_and_filled_ones_least() -> None:
 
 
 def test_spread_of_the_shots_is_found_and_a_bad_shot_does_not_draw_it_out(rng: np.random.Generator) -> None:
-    offsets_px = rng.normal(0, 5.0, 60)
-    assert lens_shift_std_px(offsets_px, width_px=4032) == pytest.approx(5.0, rel=0.25)
-    assert lens_shift_std_px([*offsets_px, 900.0, np.nan], width_px=4032) == pytest.approx(5.0, rel=0.25)
+    offsets = rng.normal(0, 5.0, 60) / 4032
+    assert lens_shift_std_share(offsets) == pytest.approx(5.0 / 4032, rel=0.25)
+    assert lens_shift_std_share([*offsets, 900.0 / 4032, np.nan]) == pytest.approx(5.0 / 4032, rel=0.25)
     # A rig that is off for all shots alike is off along the baseline too.
-    assert lens_shift_std_px(np.full(60, 4.0), width_px=4032) > 4.0
+    assert lens_shift_std_share(np.full(60, 1e-3)) > 1e-3
 
 
 def test_without_shots_the_spread_is_the_usual_one() -> None:
-    usual_px = lens_shift_std_px([], width_px=1280)
-    assert usual_px == pytest.approx(0.58)
-    assert lens_shift_std_px([np.nan], width_px=2560) == pytest.approx(2 * usual_px)
-    assert usual_px < lens_shift_std_px([3.0], width_px=1280) < 3.0 * 1.5
+    usual = lens_shift_std_share([])
+    assert usual == pytest.approx(0.58 / 1280)
+    assert lens_shift_std_share([np.nan]) == pytest.approx(usual)
+    assert usual < lens_shift_std_share([3.0 / 1280]) < 3.0 * 1.5 / 1280

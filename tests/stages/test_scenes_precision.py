@@ -28,10 +28,17 @@ def stored(*checks: Check) -> StoredRig:
     return StoredRig(RIG, None, None, None, quality=quality, facts=RigFacts())
 
 
-def precision(rig: StoredRig, *, shrink: int = 1) -> DepthPrecision:
+def alignment(*, shrink: int = 1, offset_px: float | None = None) -> Alignment:
+    """Of photos of the rig's size, or of a part of it; with a vertical offset where matches showed one."""
     tele_hw, wide_hw = ((camera.hw[0] // shrink, camera.hw[1] // shrink) for camera in (RIG.tele, RIG.wide))
     geometry = rectified_geometry(rig_at_sizes(RIG, tele_hw=tele_hw, wide_hw=wide_hw))
-    return shot_precision([Alignment(ShotRefinement(), (), compare_factors(rig=3.0), geometry)], rig=rig)
+    moved = ShotRefinement(vertical_offset_px=offset_px or 0.0, is_fitted=offset_px is not None)
+    return Alignment(moved, (), compare_factors(rig=3.0), geometry)
+
+
+def precision(rig: StoredRig, *, shrink: int = 1) -> DepthPrecision:
+    shot = alignment(shrink=shrink)
+    return shot_precision(shot, of_set=[shot], rig=rig)
 
 
 SCENES = stored(Check(ZERO_CHECK, "warn", ZERO_PX, 1.0, "pin it"))
@@ -54,6 +61,17 @@ def test_depth_of_a_rig_from_scenes_is_less_sure_than_that_of_a_board() -> None:
 def test_the_zero_goes_with_the_size_of_the_photos() -> None:
     whole, half = (precision(SCENES, shrink=shrink).lens_shift_std_px for shrink in (1, 2))
     assert half == pytest.approx(whole / 2, rel=1e-3)
+
+
+def test_shots_of_mixed_sizes_have_each_its_own_precision() -> None:
+    """Whatever they are called: 12 and 48 megapixels of one phone, which moves its lens by the same share of both."""
+    large, small = alignment(offset_px=8.0), alignment(shrink=2, offset_px=4.0)
+    alone = shot_precision(large, of_set=[large, large, large], rig=BOARD)
+    for of_set in ([large, small, small], [small, small, large]):
+        whole = shot_precision(large, of_set=of_set, rig=BOARD)
+        half = shot_precision(small, of_set=of_set, rig=BOARD)
+        assert whole.lens_shift_std_px == pytest.approx(alone.lens_shift_std_px)
+        assert half.lens_shift_std_px == pytest.approx(whole.lens_shift_std_px / 2)
 
 
 def test_a_known_distance_takes_the_unknown_zero_out() -> None:

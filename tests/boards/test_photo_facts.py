@@ -13,8 +13,8 @@ from PIL import Image
 from telewide.boards.board import Board
 from telewide.boards.detection import BoardView
 from telewide.boards.orientation import turned_view
+from telewide.boards.photo_facts import with_checked_facts
 from telewide.boards.shots import BoardShot, detect_shots, find_board_shots
-from telewide.calibration.shot_facts import with_checked_facts
 from telewide.errors import InputError
 
 CROP = {"focal": 4.25, "f35": 52}
