@@ -3,86 +3,26 @@
     captures ── prepare (correct each shot) ── train (rehearsal ► photometric ► feature-metric stages) ── weights
                          └────────────────────── match ── follow tele's edges ── depth ── bokeh ── files
 
-Whoever calls hears of the progress through an :class:`Observer`. Started by ``torchrun``, every process prepares and
-matches its share of the captures, all train together, and each comes to know the results of all.
+Here is the order alone; what a stage checks, keeps and records is in `telewide.stages`. Progress goes to an
+:class:`Observer`. Started by ``torchrun``, every process prepares and matches its share of the captures, all train
+together, and each comes to know the results of all.
 """
 
 from __future__ import annotations
 
-import json
-import math
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from telewide.bokeh.picture import BokehOptions, check_bokeh
-from telewide.calibration.rig_file import RIG_FILE, StoredRig
-from telewide.capture.exif import read_photo_facts
-from telewide.capture.pair import CaptureSet, Problem, find_captures, read_photos
-from telewide.depth.pin import KnownDistance, focused_at
-from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint
-from telewide.matching.window import Window, joined_window
-from telewide.options import parse_options
-from telewide.pages.run_page import report_row, write_page
-from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
-from telewide.stages.align import locate_rig, shot_precision
-from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
-from telewide.stages.match import Matcher, choose_matcher
+from telewide.recipe import Recipe
+from telewide.stages.call import begun
+from telewide.stages.depth import DepthOptions, DepthRun, compute_depth, make_folder, refuse_what_cannot_be
+from telewide.stages.match import choose_matcher
 from telewide.stages.observer import Observer
-from telewide.stages.prepare import RECORD_NAME, PreparedPair, PreparedSet, prepare_captures, refuse_without_rig
-from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
-from telewide.text import command_line, counted
-from telewide.training.processes import Processes, joined_processes
+from telewide.stages.prepare import prepare
+from telewide.stages.report import report
 
 if TYPE_CHECKING:
     from telewide.stages.train import TrainOutcome
-
-
-@dataclass(frozen=True)
-class DepthOptions:
-    """What ``telewide depth`` was asked for.
-
-    Attributes:
-        method: one of `telewide.stages.match.METHODS`.
-        weights: a weights file, or None for the run's newest.
-        bokeh: None for no bokeh picture.
-        out: folder for the results, or None for ``depth/`` of the run.
-        device: auto, cpu or cuda.
-        rig: rig file, or None for the one that lies by the captures.
-        known: a point of known distance, or None.
-        trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
-    """
-
-    method: str = "joint"
-    weights: Path | None = None
-    bokeh: BokehOptions | None = None
-    out: Path | None = None
-    device: str = "auto"
-    rig: Path | None = None
-    known: KnownDistance | None = None
-    trusts_focus: bool = False
-
-
-@dataclass(frozen=True)
-class DepthRun:
-    """What was made of a set, by all processes together.
-
-    Attributes:
-        folder: where it lies.
-        outcomes: one a capture, sorted by name.
-        problems: captures left out, and why.
-        report: the report page, where this process wrote one.
-    """
-
-    folder: Path
-    outcomes: tuple[DepthOutcome, ...]
-    problems: tuple[Problem, ...]
-    report: Path | None = None
 
 
 def train_captures(
@@ -103,18 +43,21 @@ def train_captures(
         recipe: resolved recipe.
         fresh: start over where a training lies in the run folder.
         device: auto, cpu or cuda.
-        observer: hears of it.
+        observer: is told of the progress.
         rig: rig file, or None for the one that lies by the captures.
 
     Returns:
         What was reached, and where the weights are.
 
     Raises:
-        TelewideError: see `prepare_captures` and `train_prepared`.
+        TelewideError: see `prepare` and `telewide.stages.train.train`.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
-    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig) as call:
-        return _train(call, _prepare(call), fresh=fresh)
+    from telewide.stages.train import train
+
+    with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig) as call:
+        pairs = prepare(call)
+        return train(call, pairs, fresh=fresh)
 
 
 def depth_captures(
@@ -127,7 +70,7 @@ def depth_captures(
         run: run folder, or None for the one that belongs to the captures.
         recipe: what is corrected, where no weights file says it.
         options: method, weights, bokeh, place.
-        observer: hears of it.
+        observer: is told of the progress.
 
     Returns:
         What was written; bad captures are among its problems.
@@ -137,12 +80,12 @@ def depth_captures(
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
     device = "cpu" if options.method == "sgm" else options.device
-    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
-        # What can be refused is refused before any pair is made.
-        _check(call, options)
-        matcher = _matcher(call, options)
-        _make_folder(options.out or call.folder.depth)
-        return _depth(call, _prepare(call), matcher, options=options)
+    with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
+        refuse_what_cannot_be(call, options)
+        matcher = choose_matcher(call, method=options.method, weights=options.weights)
+        make_folder(call, options)
+        pairs = prepare(call)
+        return compute_depth(call, pairs, matcher, options=options)
 
 
 def run_captures(
@@ -155,7 +98,7 @@ def run_captures(
         run: run folder, or None for the one that belongs to the captures.
         recipe: resolved recipe.
         options: of the depth.
-        observer: hears of it.
+        observer: is told of the progress.
 
     Returns:
         What was written, with its report.
@@ -163,294 +106,13 @@ def run_captures(
     Raises:
         TelewideError: see `train_captures` and `depth_captures`.
     """
+    from telewide.stages.train import train
+
     device = options.device
-    with _begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
-        _check(call, options)
-        prepared = _prepare(call)
-        _train(call, prepared, fresh=False)
-        done = _depth(call, prepared, _matcher(call, options), options=options)
-        return replace(done, report=_report(call, done)) if call.processes.is_writer else done
-
-
-def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | None = None) -> Recipe:
-    """The recipe to prepare pairs by: the run's, or the default without one, as the weights were taught to see them.
-
-    Args:
-        run: run folder, or None for the one that belongs to the captures.
-        captures_root: folder of the captures.
-        weights: a weights file; its size, window and correction of the pairs stand above the run's.
-
-    Raises:
-        InputError: the run's record or the weights file is damaged.
-    """
-    recipe = _recipe_of_run(run, captures_root)
-    if weights is None or not weights.is_file():
-        return recipe
-    from telewide.training.checkpoint import read_card
-
-    taught = parse_options(Recipe, read_card(weights).recipe, source=str(weights), error=InputError)
-    return recipe.model_copy(update={name: getattr(taught, name) for name in OF_THE_PAIRS})
-
-
-def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
-    path = locate_run(run, captures_root).training_record
-    if not path.is_file():
-        return load_recipe(DEFAULT_RECIPE)
-    try:
-        return parse_options(Recipe, json.loads(path.read_text())["recipe"], source=str(path), error=InputError)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is damaged", hint="train again with --fresh") from error
-
-
-@dataclass(frozen=True)
-class _Call:
-    """What the stages of one call share."""
-
-    captures: CaptureSet
-    folder: RunFolder
-    recipe: Recipe
-    device: str
-    processes: Processes
-    observer: Observer
-    rig: StoredRig | None
-    rig_file: Path | None
-    begun_s: float = field(default_factory=time.monotonic)
-
-
-@contextmanager
-def _begun(
-    captures_root: Path, *, run: Path | None, recipe: Recipe, device: str, observer: Observer, rig: Path | None
-) -> Iterator[_Call]:
-    folder, captures = locate_run(run, captures_root), find_captures(captures_root)
-    found_rig = locate_rig(rig, captures)
-    refuse_without_rig(captures, rig=found_rig)
-    with joined_processes(device) as processes:
-        yield _Call(captures, folder, recipe, device, processes, observer, found_rig, rig)
-
-
-def _check(call: _Call, options: DepthOptions) -> None:
-    rig = None if call.rig is None else call.rig.rig
-    check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
-    _check_distance(call, options)
-
-
-def _check_distance(call: _Call, options: DepthOptions) -> None:
-    if options.known is not None and len(call.captures.captures) > 1:
-        one = call.captures.root / call.captures.captures[0].name
-        raise UsageError(
-            f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
-            hint=f"name one: {command_line('depth', one, rig=call.rig_file, distance='X,Y,M')}",
-        )
-    if (options.known is not None or options.trusts_focus) and call.rig is None:
-        raise UsageError(
-            "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"
-        )
-    if options.known is not None:
-        with suppress(InputError):  # a photo that cannot be read is a problem of its capture, said where it is read
-            _refuse_outside(options.known, hw=read_photo_facts(call.captures.captures[0].tele_path).hw)
-
-
-def _refuse_outside(known: KnownDistance, *, hw: tuple[int, int] | None) -> None:
-    if hw is not None and not (0 <= known.x_px <= hw[1] - 1 and 0 <= known.y_px <= hw[0] - 1):
-        raise UsageError(
-            f"--distance: the point {known.x_px:g},{known.y_px:g} lies outside the tele photo of {hw[1]} x {hw[0]} px",
-            hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
-        )
-
-
-def _prepare(call: _Call) -> PreparedSet:
-    """Correct the pairs; of several processes each does its share, and then finds those of the others done."""
-    captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
-    if call.rig is not None and call.rig.quality.verdict == "insufficient":
-        shown = command_line("show", call.rig_file or RIG_FILE)
-        call.observer.said(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
-    call.observer.preparing(captures)
-    if call.processes.world == 1:
-        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
-    else:
-        mine = replace(captures, captures=call.processes.share(captures.captures))
-        with suppress(InputError):  # an empty share, or none of it fit for use, which is said of all together
-            prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
-        call.processes.wait()
-        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
-    call.observer.set_prepared(prepared)
-    return prepared
-
-
-def _train(call: _Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
-    from telewide.matching.inference import choose_device
-    from telewide.stages.train import train_prepared
-
-    prepared_s = time.monotonic()
-    outcome = train_prepared(
-        prepared,
-        call.folder,
-        recipe=call.recipe,
-        fresh=fresh,
-        device=choose_device(call.device),
-        processes=call.processes,
-        reporter=call.observer,
-        searching=call.observer.searching,
-        labelling=call.observer.labelling,
-    )
-    timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
-    asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}
-    _record(call, prepared, command="train", options=asked, timings=timings)
-    return outcome
-
-
-def _matcher(call: _Call, options: DepthOptions) -> Matcher:
-    matcher = choose_matcher(
-        call.folder,
-        call.captures.root,
-        method=options.method,
-        weights=options.weights,
-        device=options.device,
-        rig=call.rig_file,
-    )
-    if matcher.doubt is not None:
-        call.observer.said(matcher.doubt)
-    return matcher
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise UsageError(f"{folder} cannot be made: {reason}", hint="name another folder with --out") from error
-
-
-def _depth(call: _Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
-    """Depth of this process' share, told as it comes; then the others' results, told by the writer alone."""
-    processes, begun_s = call.processes, time.monotonic()
-    window = _searched(call, prepared, matcher)
-    call.observer.matching(len(prepared.pairs), method=options.method)
-    mine: list[DepthOutcome | DepthFailure] = []
-    for item in processes.share(prepared.pairs):
-        mine.append(_depth_of(item, call, prepared, matcher=matcher, window=window, options=options))
-        _tell(call.observer, mine[-1])
-    results = processes.gathered(tuple(mine))
-    for index, result in enumerate(results):
-        if processes.is_writer and index % processes.world != processes.rank:
-            _tell(call.observer, result)
-    outcomes = tuple(result for result in results if isinstance(result, DepthOutcome))
-    failures = [result for result in results if isinstance(result, DepthFailure)]
-    if not outcomes:
-        raise failures[-1].of_all(call.captures.root)
-    n_kept = sum(outcome.is_kept for outcome in outcomes)
-    if n_kept:
-        same = "same photos, same weights, same options"
-        call.observer.said(f"kept as they were: {n_kept} of {counted(len(outcomes), 'capture')}, {same}")
-    asked = {**asdict(options), "matcher": matcher.key}
-    _record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
-    problems = (*prepared.problems, *(failure.problem for failure in failures))
-    return DepthRun(options.out or call.folder.depth, outcomes, problems)
-
-
-def _searched(call: _Call, prepared: PreparedSet, matcher: Matcher) -> Window:
-    """The disparities to search, told; a network that was trained for fewer is named."""
-    window = prepared.window_with(matcher.window)
-    call.observer.searching(window)
-    if matcher.window is not None and joined_window((window, matcher.window)) != matcher.window:
-        call.observer.said(
-            f"searched at {window[0]} to {window[1]} px, as these captures need; the network was trained at "
-            f"{matcher.window[0]} to {matcher.window[1]} px"
-        )
-    return window
-
-
-def _depth_of(
-    item: PreparedPair,
-    call: _Call,
-    prepared: PreparedSet,
-    *,
-    matcher: Matcher,
-    window: Window,
-    options: DepthOptions,
-) -> DepthOutcome | DepthFailure:
-    """Match one pair, bring the result to the photo's own size and edges, and write it."""
-    known = _stated_focus(item, call.observer) if options.trusts_focus else options.known
-    shot = _shot(item, prepared, known)
-    return depth_of_capture(
-        item.source,
-        item.held_out,
-        (options.out or call.folder.depth) / item.capture.name,
-        facts=prepared.facts,
-        match=lambda ref, src: matcher.match(ref, src, window=window),
-        bokeh=options.bokeh,
-        key=_depth_key(item, matcher, window=window, options=options, shot=shot),
-        shot=shot,
-    )
-
-
-def _stated_focus(item: PreparedPair, observer: Observer) -> KnownDistance | None:
-    """Where EXIF says the tele lens was focused; None, and said, where it says nothing or infinity."""
-    facts = read_photo_facts(item.source.tele_path)
-    if facts.hw is None or facts.subject_distance_m is None or not math.isfinite(facts.subject_distance_m):
-        observer.said(f"{item.capture.name}: EXIF states no distance of the focus (SubjectDistance), so none is used")
-        return None
-    return focused_at(facts.subject_distance_m, hw=facts.hw)
-
-
-def _shot(item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None) -> ShotGeometry | None:
-    """How the pair lies to its photos, and what its depths are worth; None where it was rectified when it came."""
-    if item.alignment is None or prepared.rig is None:
-        return None
-    aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
-    precision = shot_precision(item.alignment, of_set=aligned, rig=prepared.rig)
-    return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, known)
-
-
-def _depth_key(
-    item: PreparedPair,
-    matcher: Matcher,
-    *,
-    window: Window,
-    options: DepthOptions,
-    shot: ShotGeometry | None,
-) -> dict[str, object]:
-    """What the files of one capture depend on; the pair's record names photos, facts and correction."""
-    truth = item.source.truth_path
-    return {
-        "version": metadata.version("telewide"),
-        "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
-        "truth_sha256": None if truth is None else fingerprint(truth),
-        "matcher": matcher.key,
-        "window": window,
-        "bokeh": None if options.bokeh is None else asdict(options.bokeh),
-        "precision": None if shot is None else asdict(shot.precision),
-        "known": None if shot is None or shot.known is None else asdict(shot.known),
-    }
-
-
-def _tell(observer: Observer, result: DepthOutcome | DepthFailure) -> None:
-    if isinstance(result, DepthOutcome):
-        observer.depth_written(result)
-    else:
-        observer.depth_failed(result.problem)
-
-
-def _report(call: _Call, done: DepthRun) -> Path:
-    """The report page of all captures."""
-    captures = {capture.name: capture for capture in call.captures.captures}
-    rows = (
-        report_row(
-            read_photos(captures[outcome.name]),
-            done.folder / outcome.name,
-            root=call.folder.root,
-            numbers=outcome.numbers,
-            rotated_deg=0 if call.rig is not None else call.captures.facts.rotated_deg,  # a rig's photos are not turned
-        )
-        for outcome in done.outcomes
-    )
-    return write_page(call.folder, rows, recipe=call.recipe, captures=call.captures.root, rig=call.rig_file)
-
-
-def _record(
-    call: _Call, prepared: PreparedSet, *, command: str, options: Mapping[str, object], timings: Mapping[str, float]
-) -> None:
-    """Note in ``run.json`` what was done."""
-    if call.processes.is_writer:
-        inputs = [path for item in prepared.pairs for path in (item.source.tele_path, item.source.wide_path)]
-        write_run_record(call.folder, command=command, options=options, inputs=inputs, timings=timings)
+    with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
+        refuse_what_cannot_be(call, options)
+        pairs = prepare(call)
+        train(call, pairs, fresh=False)
+        matcher = choose_matcher(call, method=options.method, weights=options.weights)
+        depths = compute_depth(call, pairs, matcher, options=options)
+        return report(call, depths)

@@ -291,6 +291,11 @@ def test_no_function_is_hard_to_read_in_one_go() -> None:
     )
 
 
+def test_the_pipeline_is_read_on_one_screen(repo: Path) -> None:
+    text = (repo / "telewide" / "pipeline.py").read_text()
+    assert len(text.splitlines()) <= 150
+
+
 def test_the_layer_table_of_contributing_is_this_one(repo: Path) -> None:
     text = (repo / "CONTRIBUTING.md").read_text()
     for number in sorted(set(LAYERS.values())):

@@ -25,11 +25,11 @@ from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.networks import build_network
 from telewide.metrics import three_pixel_error
-from telewide.pipeline import DepthOptions, recipe_of_depth
 from telewide.points.held_out import HeldOut
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.capture_depth import DepthOutcome, depth_of_capture
+from telewide.stages.depth import DepthOptions, recipe_of_depth
 from telewide.stages.kept_depth import KeptDepth, read_kept, write_kept
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder

@@ -22,8 +22,9 @@ from telewide.errors import UsageError
 from telewide.matching.window import Window, joined_window
 from telewide.points.held_out import match_errors_px, summarise_errors
 from telewide.recipe import Recipe
-from telewide.stages.align import locate_rig
-from telewide.stages.prepare import PreparedPair, prepare_captures, refuse_without_rig
+from telewide.stages.pairs import PreparedPair
+from telewide.stages.prepare import prepare_captures
+from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
 
 Errors = NDArray[np.float64]

@@ -27,9 +27,10 @@ from telewide.calibration.solver import calibrate_rig
 from telewide.capture.images import read_image, read_pfm
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
-from telewide.pipeline import DepthOptions, DepthRun, depth_captures, recipe_of_depth
+from telewide.pipeline import depth_captures
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.simulate.phone import BOARD_SQUARE_M, write_phone
+from telewide.stages.depth import DepthOptions, DepthRun, recipe_of_depth
 from telewide.stages.observer import Observer
 from telewide.training.options import WEIGHTS_NAME
 

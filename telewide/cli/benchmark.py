@@ -97,7 +97,7 @@ def matches(
     """Count the held-out matches that each matcher misses on your captures; the first run's pairs are used."""
     from telewide.benchmark.contenders import all_contenders, semiglobal_contender
     from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
-    from telewide.pipeline import recipe_of_depth
+    from telewide.stages.depth import recipe_of_depth
     from telewide.stages.run_folder import RunFolder
 
     check_device(device)

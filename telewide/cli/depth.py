@@ -27,7 +27,7 @@ from telewide.text import counted
 if TYPE_CHECKING:
     from telewide.bokeh.picture import BokehOptions
     from telewide.cli.progress import ConsoleObserver
-    from telewide.pipeline import DepthOptions, DepthRun
+    from telewide.stages.depth import DepthOptions, DepthRun
 
 DEPTH_EPILOG = "Example: `telewide depth --bokeh --focus near`; without a trained run: `telewide depth --method sgm`"
 
@@ -70,7 +70,8 @@ def depth(
         rig=rig,
         distance=distance,
     )
-    from telewide.pipeline import depth_captures, recipe_of_depth
+    from telewide.pipeline import depth_captures
+    from telewide.stages.depth import recipe_of_depth
 
     with console_observer(is_quiet=quiet, shows_table=False) as observer:
         recipe = recipe_of_depth(run, captures, weights=weights)
@@ -105,7 +106,7 @@ def depth_options(
         UsageError: a word that is none of the known ones, or a file that is not there.
     """
     from telewide.depth.pin import parse_known_distance
-    from telewide.pipeline import DepthOptions
+    from telewide.stages.depth import DepthOptions
     from telewide.stages.match import METHODS
 
     check_device(device)

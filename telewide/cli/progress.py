@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from telewide.matching.networks import StereoNetwork
     from telewide.matching.window import Window
     from telewide.stages.capture_depth import DepthOutcome
-    from telewide.stages.prepare import PreparedSet
+    from telewide.stages.pairs import PreparedSet
     from telewide.training.stages import Stage
 
 _LINE_EVERY_S = 15.0

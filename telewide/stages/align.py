@@ -12,21 +12,18 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from telewide.assets import find_yaml
-from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
+from telewide.calibration.rig_file import StoredRig
 from telewide.calibration.scene_quality import zero_std_px
 from telewide.capture.exif import least_seconds_between, read_photo_facts
-from telewide.capture.pair import Capture, CaptureSet, PhotoPair
+from telewide.capture.pair import Capture, PhotoPair
 from telewide.correction.asymmetry import AsymmetryEstimate, compare_factors, factor_from_exif
 from telewide.correction.moving import MovedRegion, find_moving, moving_note
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.refinement import ShotRefinement, fit_shot, refined_rig
 from telewide.depth.precision import DepthPrecision, lens_shift_std_share
-from telewide.errors import UsageError
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
 from telewide.points.photo_matches import find_photo_matches
@@ -106,37 +103,6 @@ def align_photos(
     of_matches = _factor_of_matches(photos, rig, refinement)
     asymmetry = compare_factors(rig=rig.asymmetry, matches=of_matches, exif=facts.asymmetry)
     return rectified, Alignment(refinement, moved, asymmetry, rectified.geometry)
-
-
-def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
-    """Find the rig that a set of captures is to be rectified with.
-
-    Args:
-        stated: the file its user named, or None.
-        captures: the set.
-
-    Returns:
-        The named rig; or ``rig.yaml`` (or ``rig.yml``) in the captures' folder, in one of the two above it, or in the
-        working folder; None where there is none, or where captures.yaml states that the captures are rectified.
-
-    Raises:
-        UsageError: the named file does not exist, or the captures are stated to be rectified.
-        InputError: it is no rig.
-    """
-    folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
-    lying = next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
-    if captures.facts.rectified:
-        if stated is not None:
-            raise UsageError(
-                f"--rig {stated}: captures.yaml of {captures.root} states that its captures are rectified",
-                hint="remove 'rectified: true' there, or leave --rig out",
-            )
-        if lying is not None:
-            _log.warning("%s is not used: captures.yaml states that the captures are rectified", lying)
-        return None
-    if stated is not None:
-        return read_rig(stated)
-    return None if lying is None else read_rig(lying)
 
 
 def shot_precision(alignment: Alignment, *, of_set: Sequence[Alignment], rig: StoredRig) -> DepthPrecision:

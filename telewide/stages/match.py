@@ -14,6 +14,7 @@ from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.options import parse_options
 from telewide.recipe import Recipe
+from telewide.stages.call import Call
 from telewide.stages.run_folder import RunFolder, locate_run
 from telewide.text import command_line
 from telewide.training.options import WEIGHTS_NAME
@@ -48,42 +49,58 @@ class Matcher:
     doubt: str | None = None
 
 
-def choose_matcher(
-    run: RunFolder, captures_root: Path, *, method: str, weights: Path | None, device: str, rig: Path | None = None
-) -> Matcher:
-    """Take a matcher by name; a network is read.
+def choose_matcher(call: Call, *, method: str, weights: Path | None) -> Matcher:
+    """Take the matcher of a call by name; a network is read, and it is said where its training is not finished.
 
     Args:
-        run: whose newest weights are taken where none are named.
-        captures_root: folder of the captures to match, for what is advised where there are none.
+        call: its run's newest weights are taken where none are named.
         method: one of `METHODS`.
         weights: a weights file, or None.
-        device: of a network: auto, cpu or cuda.
-        rig: rig file as the user named it, for the same advice.
 
     Returns:
-        The matcher; its doubt tells of weights whose training is not finished.
+        The matcher.
 
     Raises:
         UsageError: there are no weights.
         InputError: the weights cannot be read.
         MissingPartError: cuda was asked for and is not there.
     """
+    path = weights or call.folder.weights
+    if method != "sgm" and not path.is_file():  # said before torch is imported, which takes seconds
+        raise UsageError(
+            f"{path} does not exist" if weights else f"{call.folder.root} holds no trained network",
+            hint=_how_to_match(call.folder, call.captures.root, rig=call.rig_file),
+        )
+    matcher = read_matcher(path, method=method, device=call.device)
+    if matcher.doubt is not None:
+        call.observer.said(matcher.doubt)
+    return matcher
+
+
+def read_matcher(weights: Path, *, method: str, device: str) -> Matcher:
+    """Read a matcher.
+
+    Args:
+        weights: a weights file; without a say where the method needs none.
+        method: one of `METHODS`.
+        device: of a network: auto, cpu or cuda.
+
+    Returns:
+        The matcher; its doubt tells of weights whose training is not finished.
+
+    Raises:
+        InputError: the weights cannot be read.
+        MissingPartError: cuda was asked for and is not there.
+    """
     if method == "sgm":
         return Matcher(match_semiglobal, "sgm")
-    path = weights or run.weights
-    if not path.is_file():  # said before torch is imported, which takes seconds
-        raise UsageError(
-            f"{path} does not exist" if weights else f"{run.root} holds no trained network",
-            hint=_how_to_match(run, captures_root, rig=rig),
-        )
     from telewide.matching.inference import choose_device, match_with_network
     from telewide.matching.joint import match_jointly
     from telewide.training.checkpoint import load_weights
 
-    network, card = load_weights(path, device=choose_device(device))
+    network, card = load_weights(weights, device=choose_device(device))
     match = partial(match_jointly if method == "joint" else match_with_network, network=network)
-    return Matcher(match, f"{method} {fingerprint(path)}", card.window, _unfinished(path, card))
+    return Matcher(match, f"{method} {fingerprint(weights)}", card.window, _unfinished(weights, card))
 
 
 def _how_to_match(run: RunFolder, captures_root: Path, *, rig: Path | None) -> str:

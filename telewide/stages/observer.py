@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 from telewide.capture.pair import CaptureSet, Problem
 from telewide.correction.verdict import PairReport
 from telewide.stages.capture_depth import DepthOutcome
-from telewide.stages.prepare import PreparedSet
+from telewide.stages.pairs import PreparedSet
 
 if TYPE_CHECKING:
     from telewide.matching.networks import StereoNetwork

@@ -13,34 +13,30 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from telewide.calibration.rig_file import StoredRig
+from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
-from telewide.capture.facts import FACTS_FILE
-from telewide.capture.images import focal_length_mm, resize_bicubic, write_image, write_pfm
-from telewide.capture.importer import is_imported
+from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
-from telewide.correction.blur import BlurEstimate, damage_range, fit_blur
+from telewide.correction.blur import BlurEstimate, fit_blur
 from telewide.correction.verdict import (
     MIN_COMMON_MATCHES,
     CorrectedPair,
     PairReport,
     correct_pair,
-    disparity_window,
     inspect_pair,
 )
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, replacing, write_text
-from telewide.geometry.stereo import FloatMap
-from telewide.matching.semiglobal import match_semiglobal
-from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
+from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
 from telewide.points.matches import find_matches
 from telewide.recipe import Recipe
@@ -52,131 +48,48 @@ from telewide.stages.align import (
     plain_rig,
     read_shot_facts,
 )
+from telewide.stages.call import Call
+from telewide.stages.pairs import PreparedPair, PreparedSet
+from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import RunFolder
-from telewide.training.samples import LABELS_PREFIX, labels_path
+from telewide.text import command_line
+from telewide.training.samples import LABELS_PREFIX
 
 FORMAT = 5
 RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
-LABEL_CONFIDENCE = 0.5
-
-
-@dataclass(frozen=True)
-class PreparedPair:
-    """A corrected pair in the run folder.
-
-    Attributes:
-        source: the capture it was made from.
-        capture: the corrected pair, to be read like a capture.
-        report: what was measured on the photos.
-        scale: working size over the photo's size.
-        held_out: its matches that no fit has seen.
-        alignment: how the corrected pair lies to the photos; None where they were rectified when they came.
-        blur: how much softer wide is; None where matches are too few to tell.
-    """
-
-    source: Capture
-    capture: Capture
-    report: PairReport
-    scale: float
-    held_out: HeldOut
-    alignment: Alignment | None = None
-    blur: BlurEstimate | None = None
-
-
-@dataclass(frozen=True)
-class PreparedSet:
-    """All usable pairs of a capture folder.
-
-    Attributes:
-        pairs: sorted by name, never empty.
-        facts: what the owner states.
-        stated_window: disparities to search that the recipe states, px at the working size; None for measured ones.
-        problems: captures left out, and why.
-        rig: what the photos were rectified with; None without.
-    """
-
-    pairs: tuple[PreparedPair, ...]
-    facts: CaptureFacts
-    stated_window: Window | None
-    problems: tuple[Problem, ...]
-    rig: StoredRig | None = None
-
-    @property
-    def window(self) -> Window:
-        """Disparities to search: stated, or measured on all pairs.
-
-        Raises:
-            InputError: nothing states them, and there are too few matches to measure them.
-        """
-        try:
-            return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
-        except InputError as error:
-            if self.rig is not None or self.facts.rectified:
-                raise
-            hint = f"photos as they were taken need a rig, {_how_to_calibrate(Path('CAPTURES'))}; or {error.hint}"
-            raise InputError(error.message, hint=hint) from error
-
-    def window_with(self, former: Window | None) -> Window:
-        """Disparities to search by what has searched other captures before.
-
-        Args:
-            former: what it was trained for or has searched, px; None where nothing is known.
-
-        Returns:
-            The stated window, or one that holds both the former and what these pairs need, px.
-
-        Raises:
-            InputError: nothing states, measures or remembers a window.
-        """
-        if former is None or self.stated_window is not None:
-            return self.window
-        try:
-            return joined_window((former, self.window))
-        except InputError:  # too few matches to measure by
-            return former
-
-    @property
-    def damage_factor(self) -> tuple[float, float] | None:
-        """By how much wide is coarser, least and most over the pairs, as measured; None where nothing tells."""
-        damage = damage_range([pair.blur for pair in self.pairs if pair.blur is not None])
-        return None if damage is None else damage.factor
 
 
 Tick = Callable[[PairReport | None], None]
 
 
-def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:
-    """Stop before anything is computed where photos straight from a phone have no rig.
+def prepare(call: Call) -> PreparedSet:
+    """Correct the pairs of a call; of several processes each does its share, and then finds those of the others done.
 
     Args:
-        captures: what was found.
-        rig: what there is to rectify with.
+        call: captures, rig, recipe and where the pairs go.
+
+    Returns:
+        The pairs that can be used.
 
     Raises:
-        InputError: no rig lies by them, and they are stated not to be rectified, or all were imported and nobody states
-            that they are rectified.
+        InputError: none can be used.
     """
-    if rig is None and captures.facts.rectified is False:
-        raise InputError(
-            f"{captures.root / FACTS_FILE} states that the captures are not rectified, and no rig.yaml lies by them to "
-            "rectify them with",
-            hint=f"{_how_to_calibrate(captures.root)}; or name a rig with --rig",
-        )
-    folders = [capture.tele_path.parent for capture in captures.captures]
-    if rig is None and not captures.facts.rectified and folders and all(map(is_imported, folders)):
-        raise InputError(
-            f"{captures.root} holds photos as the phone took them, and no rig.yaml lies by them to rectify them with",
-            hint=f"{_how_to_calibrate(captures.root)}; if they are rectified, state rectified: true in "
-            f"{captures.root / 'captures.yaml'}",
-        )
-
-
-def _how_to_calibrate(root: Path) -> str:
-    return (
-        "calibrate first: telewide calibrate boards/ from photos of a board, or without a board: "
-        f"telewide calibrate {root} --from-scenes"
-    )
+    captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
+    if call.rig is not None and call.rig.quality.verdict == "insufficient":
+        shown = command_line("show", call.rig_file or RIG_FILE)
+        call.observer.said(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
+    call.observer.preparing(captures)
+    if call.processes.world == 1:
+        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
+    else:
+        mine = replace(captures, captures=call.processes.share(captures.captures))
+        with suppress(InputError):  # an empty share, or none of it fit for use, which is said of all together
+            prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
+        call.processes.wait()
+        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
+    call.observer.set_prepared(prepared)
+    return prepared
 
 
 def prepare_captures(
@@ -217,7 +130,7 @@ def prepare_captures(
         lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
         hint = "mend the captures named above"
         if rig is None and not captures.facts.rectified:
-            hint += f"; photos as they were taken need a rig, {_how_to_calibrate(captures.root)}"
+            hint += f"; photos as they were taken need a rig, {how_to_calibrate(captures.root)}"
         raise InputError(f"{captures.root}: no capture can be used{lines}", hint=hint)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
 
@@ -390,30 +303,3 @@ def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair,
     wh = (width_px, round(height * width_px / width))
     tele, wide = (resize_bicubic(view, wh=wh) for view in (pair.tele, pair.wide))
     return RectifiedPair(pair.name, tele, wide), width_px / width
-
-
-def write_labels(
-    prepared: PreparedSet, *, names: Iterable[str], window: Window, tick: Callable[[], None] | None = None
-) -> None:
-    """Write the confident semi-global disparities of some pairs, to teach by; those that are there stay.
-
-    Args:
-        prepared: the pairs.
-        names: of the pairs that training will see.
-        window: disparities to search, px at the working size.
-        tick: called after each.
-    """
-    wanted = set(names)
-    for item in prepared.pairs:
-        path = labels_path(item.capture.tele_path.parent, window_px=window)
-        if item.capture.name in wanted and not path.is_file():
-            pair = read_pair(item.capture)
-            write_pfm(path, _confident(pair, window))
-        if tick is not None:
-            tick()
-
-
-def _confident(pair: RectifiedPair, window: Window) -> FloatMap:
-    matched = match_semiglobal(pair.tele, pair.wide, window=window)
-    is_sure = matched.valid & (matched.confidence >= LABEL_CONFIDENCE)
-    return np.where(is_sure, matched.disparity_px, np.nan).astype(np.float32)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,13 +23,16 @@ from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.files import write_text
-from telewide.matching.inference import match_with_network
+from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.matching.window import Window
 from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
 from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe, differing_keys
-from telewide.stages.prepare import PreparedSet, write_labels
+from telewide.stages.call import Call
+from telewide.stages.call import record as record_call
+from telewide.stages.labels import write_labels
+from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
 from telewide.text import counted
 from telewide.training.checkpoint import (
@@ -41,7 +45,8 @@ from telewide.training.checkpoint import (
     save_state,
 )
 from telewide.training.judge import network_judge
-from telewide.training.loop import Reporter, Training, train
+from telewide.training.loop import Reporter, Training
+from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
 from telewide.training.samples import CropArea, SampleSource
 from telewide.training.stages import Stage, plan_stages
@@ -92,30 +97,13 @@ class TrainingRecord:
     judged: tuple[str, ...]
 
 
-def train_prepared(
-    prepared: PreparedSet,
-    run: RunFolder,
-    *,
-    recipe: Recipe,
-    fresh: bool,
-    device: torch.device,
-    processes: Processes,
-    reporter: Reporter,
-    searching: Callable[[Window], None],
-    labelling: Callable[[int], Callable[[], None]],
-) -> TrainOutcome:
-    """Train a network on prepared pairs in a run folder.
+def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
+    """Train a network on prepared pairs, or continue, and record it in the run folder.
 
     Args:
+        call: where checkpoints and logs lie, who is told.
         prepared: corrected pairs.
-        run: where checkpoints and logs lie.
-        recipe: resolved.
         fresh: forget a training that lies there.
-        device: to compute on.
-        processes: this process among all.
-        reporter: hears of it.
-        searching: hears the window of the training.
-        labelling: announces labels to be computed; what it returns is called after each.
 
     Returns:
         What was reached.
@@ -124,22 +112,32 @@ def train_prepared(
         UsageError: the training that lies there was begun with another recipe.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
+    prepared_s = time.monotonic()
+    outcome = _train(call, prepared, fresh=fresh, device=choose_device(call.device))
+    timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
+    asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}
+    record_call(call, prepared, command="train", options=asked, timings=timings)
+    return outcome
+
+
+def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.device) -> TrainOutcome:
+    run, recipe, processes, observer = call.folder, call.recipe, call.processes, call.observer
     plan = _planned(recipe)
     if fresh and processes.is_writer:
         _forget(run)
     processes.wait()
-    record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=reporter)
+    record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=observer)
     processes.wait()  # all have read what the writer now changes
     if state.is_finished:
         return _outcome(run, plan, state, is_new=False)
-    searching(record.window)
+    observer.searching(record.window)
     if processes.is_writer:
         _note_what_is_taken_up(run, record, state)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
-        _label(prepared, record, processes, tick=labelling(len(prepared.pairs)))
+        _label(prepared, record, processes, tick=observer.labelling(len(prepared.pairs)))
     processes.wait()
-    logged = _LoggedReporter(reporter, run, prepared, record, is_writer=processes.is_writer)
-    train(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
+    logged = _LoggedReporter(observer, run, prepared, record, is_writer=processes.is_writer)
+    run_training(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
     return _outcome(run, plan, state, is_new=True)
 
 

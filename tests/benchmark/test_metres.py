@@ -26,9 +26,9 @@ from telewide.capture.images import read_image, read_pfm, write_image, write_pfm
 from telewide.cli import app
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
-from telewide.pipeline import DepthRun
 from telewide.simulate.phone import phone_rig, write_phone
 from telewide.stages.capture_depth import DepthOutcome
+from telewide.stages.depth import DepthRun
 
 GAIN = 20.0
 SHARES = ("known", "error_p50", "error_p90", "allowed", "inside_95")

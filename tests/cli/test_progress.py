@@ -14,7 +14,8 @@ from telewide.capture.pair import Capture, CaptureFacts
 from telewide.cli.progress import ConsoleObserver, captures_table
 from telewide.correction.verdict import PairReport, Verdict
 from telewide.points.held_out import HeldOut
-from telewide.stages.prepare import PreparedPair, PreparedSet, with_doubts
+from telewide.stages.pairs import PreparedPair, PreparedSet
+from telewide.stages.prepare import with_doubts
 
 NAN = math.nan
 

@@ -18,8 +18,9 @@ from telewide.cli import app
 from telewide.errors import InputError, UsageError
 from telewide.recipe import load_recipe
 from telewide.simulate.phone import write_phone
-from telewide.stages.align import alignment_as_json, alignment_from_json, locate_rig
+from telewide.stages.align import alignment_as_json, alignment_from_json
 from telewide.stages.prepare import prepare_captures
+from telewide.stages.rig import locate_rig
 from telewide.stages.run_folder import RunFolder
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,10 @@ from telewide.capture.pair import find_captures
 from telewide.errors import InputError
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
-from telewide.stages.prepare import PreparedSet, prepare_captures, refuse_without_rig, write_labels
+from telewide.stages.labels import write_labels
+from telewide.stages.pairs import PreparedSet
+from telewide.stages.prepare import prepare_captures
+from telewide.stages.rig import refuse_without_rig
 from telewide.stages.run_folder import RunFolder
 from telewide.training.samples import labels_path
 

@@ -25,9 +25,10 @@ from telewide.capture.images import read_pfm
 from telewide.capture.pair import find_captures
 from telewide.cli import main
 from telewide.errors import UsageError
-from telewide.pipeline import DepthOptions, depth_captures, train_captures
+from telewide.pipeline import depth_captures, train_captures
 from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
+from telewide.stages.depth import DepthOptions
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.train import TrainOutcome, read_record

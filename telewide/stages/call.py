@@ -1,0 +1,90 @@
+"""One call: what its stages share, and its record in the run folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from telewide.calibration.rig_file import StoredRig
+from telewide.capture.pair import CaptureSet, find_captures
+from telewide.recipe import Recipe
+from telewide.stages.observer import Observer
+from telewide.stages.pairs import PreparedSet
+from telewide.stages.rig import locate_rig, refuse_without_rig
+from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
+from telewide.training.processes import Processes, joined_processes
+
+
+@dataclass(frozen=True)
+class Call:
+    """What the stages of one call share.
+
+    Attributes:
+        captures: what was found.
+        folder: the run folder.
+        recipe: resolved.
+        device: auto, cpu or cuda.
+        processes: this process among all.
+        observer: is told of the progress.
+        rig: what to rectify with; None for captures that are rectified.
+        rig_file: the rig file as its user named it, or None.
+        begun_s: when the call began, on the monotonic clock.
+    """
+
+    captures: CaptureSet
+    folder: RunFolder
+    recipe: Recipe
+    device: str
+    processes: Processes
+    observer: Observer
+    rig: StoredRig | None
+    rig_file: Path | None
+    begun_s: float = field(default_factory=time.monotonic)
+
+
+@contextmanager
+def begun(
+    captures_root: Path, *, run: Path | None, recipe: Recipe, device: str, observer: Observer, rig: Path | None
+) -> Iterator[Call]:
+    """Find captures, run folder and rig, and join the processes that work on them.
+
+    Args:
+        captures_root: folder of the captures.
+        run: run folder, or None for the one that belongs to the captures.
+        recipe: resolved.
+        device: auto, cpu or cuda.
+        observer: is told of the progress.
+        rig: rig file, or None for the one that lies by the captures.
+
+    Yields:
+        What the stages share.
+
+    Raises:
+        UsageError: a folder or file that is not there.
+        InputError: photos straight from a phone have no rig.
+    """
+    folder, captures = locate_run(run, captures_root), find_captures(captures_root)
+    found_rig = locate_rig(rig, captures)
+    refuse_without_rig(captures, rig=found_rig)
+    with joined_processes(device) as processes:
+        yield Call(captures, folder, recipe, device, processes, observer, found_rig, rig)
+
+
+def record(
+    call: Call, prepared: PreparedSet, *, command: str, options: Mapping[str, object], timings: Mapping[str, float]
+) -> None:
+    """Note in ``run.json`` what was done; of several processes one does.
+
+    Args:
+        call: whose captures were worked on.
+        prepared: the pairs, whose photos are the inputs.
+        command: its name.
+        options: as resolved.
+        timings: seconds by stage.
+    """
+    if call.processes.is_writer:
+        inputs = [path for item in prepared.pairs for path in (item.source.tele_path, item.source.wide_path)]
+        write_run_record(call.folder, command=command, options=options, inputs=inputs, timings=timings)

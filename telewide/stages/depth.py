@@ -1,0 +1,282 @@
+"""Depth of every capture: asked for, checked, computed in shares, told and recorded."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+
+from telewide.bokeh.picture import BokehOptions, check_bokeh
+from telewide.capture.exif import read_photo_facts
+from telewide.capture.pair import Problem
+from telewide.depth.pin import KnownDistance, focused_at
+from telewide.errors import InputError, UsageError
+from telewide.files import fingerprint
+from telewide.matching.window import Window, joined_window
+from telewide.options import parse_options
+from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
+from telewide.stages.align import shot_precision
+from telewide.stages.call import Call, record
+from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
+from telewide.stages.match import Matcher
+from telewide.stages.observer import Observer
+from telewide.stages.pairs import PreparedPair, PreparedSet
+from telewide.stages.prepare import RECORD_NAME
+from telewide.stages.run_folder import locate_run
+from telewide.text import command_line, counted
+
+
+@dataclass(frozen=True)
+class DepthOptions:
+    """What ``telewide depth`` was asked for.
+
+    Attributes:
+        method: one of `telewide.stages.match.METHODS`.
+        weights: a weights file, or None for the run's newest.
+        bokeh: None for no bokeh picture.
+        out: folder for the results, or None for ``depth/`` of the run.
+        device: auto, cpu or cuda.
+        rig: rig file, or None for the one that lies by the captures.
+        known: a point of known distance, or None.
+        trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
+    """
+
+    method: str = "joint"
+    weights: Path | None = None
+    bokeh: BokehOptions | None = None
+    out: Path | None = None
+    device: str = "auto"
+    rig: Path | None = None
+    known: KnownDistance | None = None
+    trusts_focus: bool = False
+
+
+@dataclass(frozen=True)
+class DepthRun:
+    """What was made of a set, by all processes together.
+
+    Attributes:
+        folder: where it lies.
+        outcomes: one a capture, sorted by name.
+        problems: captures left out, and why.
+        report: the report page, where this process wrote one.
+    """
+
+    folder: Path
+    outcomes: tuple[DepthOutcome, ...]
+    problems: tuple[Problem, ...]
+    report: Path | None = None
+
+
+def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | None = None) -> Recipe:
+    """The recipe to prepare pairs by: the run's, or the default without one, as the weights were taught to see them.
+
+    Args:
+        run: run folder, or None for the one that belongs to the captures.
+        captures_root: folder of the captures.
+        weights: a weights file; its size, window and correction of the pairs stand above the run's.
+
+    Raises:
+        InputError: the run's record or the weights file is damaged.
+    """
+    recipe = _recipe_of_run(run, captures_root)
+    if weights is None or not weights.is_file():
+        return recipe
+    from telewide.training.checkpoint import read_card
+
+    taught = parse_options(Recipe, read_card(weights).recipe, source=str(weights), error=InputError)
+    return recipe.model_copy(update={name: getattr(taught, name) for name in OF_THE_PAIRS})
+
+
+def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
+    path = locate_run(run, captures_root).training_record
+    if not path.is_file():
+        return load_recipe(DEFAULT_RECIPE)
+    try:
+        return parse_options(Recipe, json.loads(path.read_text())["recipe"], source=str(path), error=InputError)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is damaged", hint="train again with --fresh") from error
+
+
+def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:
+    """Refuse, before any pair is made, what these captures and their rig cannot give.
+
+    Args:
+        call: captures and rig.
+        options: what was asked for.
+
+    Raises:
+        UsageError: a bokeh in millimetres without a baseline, a distance without a rig or outside of the photo.
+    """
+    rig = None if call.rig is None else call.rig.rig
+    check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
+    _check_distance(call, options)
+
+
+def _check_distance(call: Call, options: DepthOptions) -> None:
+    if options.known is not None and len(call.captures.captures) > 1:
+        one = call.captures.root / call.captures.captures[0].name
+        raise UsageError(
+            f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
+            hint=f"name one: {command_line('depth', one, rig=call.rig_file, distance='X,Y,M')}",
+        )
+    if (options.known is not None or options.trusts_focus) and call.rig is None:
+        raise UsageError(
+            "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"
+        )
+    if options.known is not None:
+        with suppress(InputError):  # a photo that cannot be read is a problem of its capture, said where it is read
+            _refuse_outside(options.known, hw=read_photo_facts(call.captures.captures[0].tele_path).hw)
+
+
+def _refuse_outside(known: KnownDistance, *, hw: tuple[int, int] | None) -> None:
+    if hw is not None and not (0 <= known.x_px <= hw[1] - 1 and 0 <= known.y_px <= hw[0] - 1):
+        raise UsageError(
+            f"--distance: the point {known.x_px:g},{known.y_px:g} lies outside the tele photo of {hw[1]} x {hw[0]} px",
+            hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
+        )
+
+
+def make_folder(call: Call, options: DepthOptions) -> None:
+    """Make the folder for the results, before anything is computed.
+
+    Args:
+        call: its run folder is the usual place.
+        options: which may name another.
+
+    Raises:
+        UsageError: it cannot be made.
+    """
+    folder = options.out or call.folder.depth
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise UsageError(f"{folder} cannot be made: {reason}", hint="name another folder with --out") from error
+
+
+def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
+    """Compute the depth of this process' share, told as it comes; then the writer tells of the others' results.
+
+    Args:
+        call: where results go, who is told.
+        prepared: the pairs.
+        matcher: what makes disparity of them.
+        options: what was asked for.
+
+    Returns:
+        The results of all processes.
+
+    Raises:
+        InputError: none of the captures could be used.
+    """
+    processes, begun_s = call.processes, time.monotonic()
+    window = _searched(call, prepared, matcher)
+    call.observer.matching(len(prepared.pairs), method=options.method)
+    mine: list[DepthOutcome | DepthFailure] = []
+    for item in processes.share(prepared.pairs):
+        mine.append(_depth_of(item, call, prepared, matcher=matcher, window=window, options=options))
+        _tell(call.observer, mine[-1])
+    results = processes.gathered(tuple(mine))
+    for index, result in enumerate(results):
+        if processes.is_writer and index % processes.world != processes.rank:
+            _tell(call.observer, result)
+    outcomes = tuple(result for result in results if isinstance(result, DepthOutcome))
+    failures = [result for result in results if isinstance(result, DepthFailure)]
+    if not outcomes:
+        raise failures[-1].of_all(call.captures.root)
+    n_kept = sum(outcome.is_kept for outcome in outcomes)
+    if n_kept:
+        same = "same photos, same weights, same options"
+        call.observer.said(f"kept as they were: {n_kept} of {counted(len(outcomes), 'capture')}, {same}")
+    asked = {**asdict(options), "matcher": matcher.key}
+    record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
+    problems = (*prepared.problems, *(failure.problem for failure in failures))
+    return DepthRun(options.out or call.folder.depth, outcomes, problems)
+
+
+def _searched(call: Call, prepared: PreparedSet, matcher: Matcher) -> Window:
+    """The disparities to search, told; a network that was trained for fewer is named."""
+    window = prepared.window_with(matcher.window)
+    call.observer.searching(window)
+    if matcher.window is not None and joined_window((window, matcher.window)) != matcher.window:
+        call.observer.said(
+            f"searched at {window[0]} to {window[1]} px, as these captures need; the network was trained at "
+            f"{matcher.window[0]} to {matcher.window[1]} px"
+        )
+    return window
+
+
+def _depth_of(
+    item: PreparedPair,
+    call: Call,
+    prepared: PreparedSet,
+    *,
+    matcher: Matcher,
+    window: Window,
+    options: DepthOptions,
+) -> DepthOutcome | DepthFailure:
+    """Match one pair, bring the result to the photo's own size and edges, and write it."""
+    known = _stated_focus(item, call.observer) if options.trusts_focus else options.known
+    shot = _shot(item, prepared, known)
+    return depth_of_capture(
+        item.source,
+        item.held_out,
+        (options.out or call.folder.depth) / item.capture.name,
+        facts=prepared.facts,
+        match=lambda ref, src: matcher.match(ref, src, window=window),
+        bokeh=options.bokeh,
+        key=_depth_key(item, matcher, window=window, options=options, shot=shot),
+        shot=shot,
+    )
+
+
+def _stated_focus(item: PreparedPair, observer: Observer) -> KnownDistance | None:
+    """Where EXIF says the tele lens was focused; None, and said, where it says nothing or infinity."""
+    facts = read_photo_facts(item.source.tele_path)
+    if facts.hw is None or facts.subject_distance_m is None or not math.isfinite(facts.subject_distance_m):
+        observer.said(f"{item.capture.name}: EXIF states no distance of the focus (SubjectDistance), so none is used")
+        return None
+    return focused_at(facts.subject_distance_m, hw=facts.hw)
+
+
+def _shot(item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None) -> ShotGeometry | None:
+    """How the pair lies to its photos, and what its depths are worth; None where it was rectified when it came."""
+    if item.alignment is None or prepared.rig is None:
+        return None
+    aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
+    precision = shot_precision(item.alignment, of_set=aligned, rig=prepared.rig)
+    return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, known)
+
+
+def _depth_key(
+    item: PreparedPair,
+    matcher: Matcher,
+    *,
+    window: Window,
+    options: DepthOptions,
+    shot: ShotGeometry | None,
+) -> dict[str, object]:
+    """What the files of one capture depend on; the pair's record names photos, facts and correction."""
+    truth = item.source.truth_path
+    return {
+        "version": metadata.version("telewide"),
+        "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
+        "truth_sha256": None if truth is None else fingerprint(truth),
+        "matcher": matcher.key,
+        "window": window,
+        "bokeh": None if options.bokeh is None else asdict(options.bokeh),
+        "precision": None if shot is None else asdict(shot.precision),
+        "known": None if shot is None or shot.known is None else asdict(shot.known),
+    }
+
+
+def _tell(observer: Observer, result: DepthOutcome | DepthFailure) -> None:
+    if isinstance(result, DepthOutcome):
+        observer.depth_written(result)
+    else:
+        observer.depth_failed(result.problem)

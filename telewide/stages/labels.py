@@ -1,0 +1,44 @@
+"""Labels to begin a training with: the confident semi-global disparities of the pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from telewide.capture.images import write_pfm
+from telewide.capture.pair import RectifiedPair, read_pair
+from telewide.geometry.stereo import FloatMap
+from telewide.matching.semiglobal import match_semiglobal
+from telewide.matching.window import Window
+from telewide.stages.pairs import PreparedSet
+from telewide.training.samples import labels_path
+
+LABEL_CONFIDENCE = 0.5
+
+
+def write_labels(
+    prepared: PreparedSet, *, names: Iterable[str], window: Window, tick: Callable[[], None] | None = None
+) -> None:
+    """Write the confident semi-global disparities of some pairs, to teach by; those that are there stay.
+
+    Args:
+        prepared: the pairs.
+        names: of the pairs that training will see.
+        window: disparities to search, px at the working size.
+        tick: called after each.
+    """
+    wanted = set(names)
+    for item in prepared.pairs:
+        path = labels_path(item.capture.tele_path.parent, window_px=window)
+        if item.capture.name in wanted and not path.is_file():
+            pair = read_pair(item.capture)
+            write_pfm(path, _confident(pair, window))
+        if tick is not None:
+            tick()
+
+
+def _confident(pair: RectifiedPair, window: Window) -> FloatMap:
+    matched = match_semiglobal(pair.tele, pair.wide, window=window)
+    is_sure = matched.valid & (matched.confidence >= LABEL_CONFIDENCE)
+    return np.where(is_sure, matched.disparity_px, np.nan).astype(np.float32)

@@ -1,0 +1,98 @@
+"""Corrected pairs of a capture folder, as the stages after the correction take them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from telewide.calibration.rig_file import StoredRig
+from telewide.capture.pair import Capture, CaptureFacts, Problem
+from telewide.correction.blur import BlurEstimate, damage_range
+from telewide.correction.verdict import PairReport, disparity_window
+from telewide.errors import InputError
+from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
+from telewide.points.held_out import HeldOut
+from telewide.stages.align import Alignment
+from telewide.stages.rig import how_to_calibrate
+
+
+@dataclass(frozen=True)
+class PreparedPair:
+    """A corrected pair in the run folder.
+
+    Attributes:
+        source: the capture it was made from.
+        capture: the corrected pair, to be read like a capture.
+        report: what was measured on the photos.
+        scale: working size over the photo's size.
+        held_out: its matches that no fit has seen.
+        alignment: how the corrected pair lies to the photos; None where they were rectified when they came.
+        blur: how much softer wide is; None where matches are too few to tell.
+    """
+
+    source: Capture
+    capture: Capture
+    report: PairReport
+    scale: float
+    held_out: HeldOut
+    alignment: Alignment | None = None
+    blur: BlurEstimate | None = None
+
+
+@dataclass(frozen=True)
+class PreparedSet:
+    """All usable pairs of a capture folder.
+
+    Attributes:
+        pairs: sorted by name, never empty.
+        facts: what the owner states.
+        stated_window: disparities to search that the recipe states, px at the working size; None for measured ones.
+        problems: captures left out, and why.
+        rig: what the photos were rectified with; None without.
+    """
+
+    pairs: tuple[PreparedPair, ...]
+    facts: CaptureFacts
+    stated_window: Window | None
+    problems: tuple[Problem, ...]
+    rig: StoredRig | None = None
+
+    @property
+    def window(self) -> Window:
+        """Disparities to search: stated, or measured on all pairs.
+
+        Raises:
+            InputError: nothing states them, and there are too few matches to measure them.
+        """
+        try:
+            return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
+        except InputError as error:
+            if self.rig is not None or self.facts.rectified:
+                raise
+            hint = f"photos as they were taken need a rig, {how_to_calibrate(Path('CAPTURES'))}; or {error.hint}"
+            raise InputError(error.message, hint=hint) from error
+
+    def window_with(self, former: Window | None) -> Window:
+        """Disparities to search by what has searched other captures before.
+
+        Args:
+            former: what it was trained for or has searched, px; None where nothing is known.
+
+        Returns:
+            The stated window, or one that holds both the former and what these pairs need, px.
+
+        Raises:
+            InputError: nothing states, measures or remembers a window.
+        """
+        if former is None or self.stated_window is not None:
+            return self.window
+        try:
+            return joined_window((former, self.window))
+        except InputError:  # too few matches to measure by
+            return former
+
+    @property
+    def damage_factor(self) -> tuple[float, float] | None:
+        """By how much wide is coarser, least and most over the pairs, as measured; None where nothing tells."""
+        damage = damage_range([pair.blur for pair in self.pairs if pair.blur is not None])
+        return None if damage is None else damage.factor

@@ -1,0 +1,80 @@
+"""The rig of a set of captures: where it lies, and what is refused without one."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from telewide.assets import find_yaml
+from telewide.calibration.rig_file import RIG_FILE, StoredRig, read_rig
+from telewide.capture.facts import FACTS_FILE
+from telewide.capture.importer import is_imported
+from telewide.capture.pair import CaptureSet
+from telewide.errors import InputError, UsageError
+
+_log = logging.getLogger("telewide")
+
+
+def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
+    """Find the rig that a set of captures is to be rectified with.
+
+    Args:
+        stated: the file its user named, or None.
+        captures: the set.
+
+    Returns:
+        The named rig; or ``rig.yaml`` (or ``rig.yml``) in the captures' folder, in one of the two above it, or in the
+        working folder; None where there is none, or where captures.yaml states that the captures are rectified.
+
+    Raises:
+        UsageError: the named file does not exist, or the captures are stated to be rectified.
+        InputError: it is no rig.
+    """
+    folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
+    lying = next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
+    if captures.facts.rectified:
+        if stated is not None:
+            raise UsageError(
+                f"--rig {stated}: captures.yaml of {captures.root} states that its captures are rectified",
+                hint="remove 'rectified: true' there, or leave --rig out",
+            )
+        if lying is not None:
+            _log.warning("%s is not used: captures.yaml states that the captures are rectified", lying)
+        return None
+    if stated is not None:
+        return read_rig(stated)
+    return None if lying is None else read_rig(lying)
+
+
+def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:
+    """Stop before anything is computed where photos straight from a phone have no rig.
+
+    Args:
+        captures: what was found.
+        rig: what there is to rectify with.
+
+    Raises:
+        InputError: no rig lies by them, and they are stated not to be rectified, or all were imported and nobody states
+            that they are rectified.
+    """
+    if rig is None and captures.facts.rectified is False:
+        raise InputError(
+            f"{captures.root / FACTS_FILE} states that the captures are not rectified, and no rig.yaml lies by them to "
+            "rectify them with",
+            hint=f"{how_to_calibrate(captures.root)}; or name a rig with --rig",
+        )
+    folders = [capture.tele_path.parent for capture in captures.captures]
+    if rig is None and not captures.facts.rectified and folders and all(map(is_imported, folders)):
+        raise InputError(
+            f"{captures.root} holds photos as the phone took them, and no rig.yaml lies by them to rectify them with",
+            hint=f"{how_to_calibrate(captures.root)}; if they are rectified, state rectified: true in "
+            f"{captures.root / 'captures.yaml'}",
+        )
+
+
+def how_to_calibrate(root: Path) -> str:
+    """Name the commands that make a rig for the captures of a folder."""
+    return (
+        "calibrate first: telewide calibrate boards/ from photos of a board, or without a board: "
+        f"telewide calibrate {root} --from-scenes"
+    )
