@@ -72,7 +72,7 @@ def weighted_median(
     Returns:
         (H, W) float32, px.
     """
-    smooth = _guided_filter(guide_rgb, radius_px, edge_variance)
+    smooth = guided_filter(guide_rgb, radius_px=radius_px, edge_variance=edge_variance)
     median_px = np.full(disparity_px.shape, np.nan, dtype=np.float32)
     share_before: NDArray[np.float32] = np.zeros(disparity_px.shape, dtype=np.float32)
     for level in range(int(np.floor(disparity_px.min())), int(np.ceil(disparity_px.max())) + 1):
@@ -101,13 +101,23 @@ def guided_mean(values: FloatMap, guide_rgb: FloatMap, *, where: BoolMap, radius
     Returns:
         (H, W) float32; it fades to zero where few of the surroundings count.
     """
-    smooth = _guided_filter(guide_rgb, radius_px, _EDGE_VARIANCE)
+    smooth = guided_filter(guide_rgb, radius_px=radius_px, edge_variance=_EDGE_VARIANCE)
     counts = where.astype(np.float32)
     share = np.maximum(smooth.filter(counts), _FEW)
     return np.asarray(smooth.filter(np.where(where, values, 0).astype(np.float32)) / share, dtype=np.float32)
 
 
-def _guided_filter(guide_rgb: FloatMap, radius_px: int, edge_variance: float) -> cv2.ximgproc.GuidedFilter:
+def guided_filter(guide_rgb: FloatMap, *, radius_px: int, edge_variance: float) -> cv2.ximgproc.GuidedFilter:
+    """Make a filter that takes means over each pixel's surroundings, weighted by likeness in the guide.
+
+    Args:
+        guide_rgb: (H, W, 3) float32, sRGB in [0, 1].
+        radius_px: radius of the surroundings, px.
+        edge_variance: variance of the guide, of 255 levels squared, above which an edge is kept.
+
+    Returns:
+        A filter of (H, W) float32 maps.
+    """
     guide = np.ascontiguousarray(np.clip(guide_rgb * 255 + 0.5, 0, 255).astype(np.uint8))
     return cv2.ximgproc.createGuidedFilter(guide, radius_px, edge_variance)
 

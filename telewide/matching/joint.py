@@ -2,7 +2,8 @@
 
 The network says how likely every disparity is, on cells of 4x4 px: it knows what things look like through the wide
 lens, and what continues behind what. Semi-global matching adds that to its own costs, and decides at full size, along
-the photo's edges. Its levels are whole pixels, so the fraction comes from the network where the two agree.
+the photo's edges. Its levels are whole pixels, so the fraction comes from the network where the two agree, and from the
+views themselves where they show it.
 Letters: D planes, H W image, h w cells of 4x4 px.
 """
 
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.matching.filling import guided_mean
-from telewide.matching.semiglobal import Doubt, match_semiglobal
+from telewide.matching.semiglobal import Doubt, match_to_levels
+from telewide.matching.subpixel import refine_subpixel
 from telewide.matching.window import VOLUME_STEP_PX, Window
 
 if TYPE_CHECKING:
@@ -38,7 +40,7 @@ def match_jointly(ref: FloatMap, src: FloatMap, *, network: StereoNetwork, windo
         window: disparities ``[d_min, d_max)``, px.
 
     Returns:
-        As of :func:`~telewide.matching.semiglobal.match_semiglobal`.
+        As of :func:`~telewide.matching.semiglobal.match_to_levels`.
 
     Raises:
         ValueError: the views differ in size, or the window does not fit the volume.
@@ -47,10 +49,11 @@ def match_jointly(ref: FloatMap, src: FloatMap, *, network: StereoNetwork, windo
 
     of_network, surprise_Dhw = match_with_volume(ref, src, network=network, window=window)
     doubt = _doubt(surprise_Dhw, hw=(ref.shape[0], ref.shape[1]), window=window)
-    decided = match_semiglobal(ref, src, window=window, doubt=doubt)
+    decided = match_to_levels(ref, src, window=window, doubt=doubt)
     gap_px = of_network.disparity_px - decided.disparity_px
     fraction_px = guided_mean(gap_px, ref, where=np.abs(gap_px) < _AGREEMENT_PX)
-    return DisparityMap(decided.disparity_px + fraction_px, decided.confidence, decided.valid)
+    disparity_px = refine_subpixel(ref, src, decided.disparity_px + fraction_px, confidence=decided.confidence)
+    return DisparityMap(disparity_px, decided.confidence, decided.valid)
 
 
 def _doubt(surprise_Dhw: NDArray[np.float32], *, hw: tuple[int, int], window: Window) -> Doubt:

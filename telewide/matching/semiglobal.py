@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from telewide.geometry.stereo import BoolMap, DisparityMap, FloatMap
 from telewide.matching.filling import fill_background, fill_rows, weighted_median
+from telewide.matching.subpixel import refine_subpixel
 
 __all__ = ["fill_background", "match_semiglobal"]
 
@@ -45,10 +46,20 @@ _AGREEMENT_BLOCK_PX = 9
 _MEASURED_CONFIDENCE = 0.25
 
 
-def match_semiglobal(
+def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> DisparityMap:
+    """Match two rectified views by semi-global matching, to a fraction of a pixel.
+
+    Arguments, errors and the rest of the result as of :func:`match_to_levels`.
+    """
+    found = match_to_levels(ref, src, window=window)
+    disparity_px = refine_subpixel(ref, src, found.disparity_px, confidence=found.confidence)
+    return DisparityMap(disparity_px, found.confidence, found.valid)
+
+
+def match_to_levels(
     ref: FloatMap, src: FloatMap, *, window: tuple[int, int], doubt: Doubt | None = None
 ) -> DisparityMap:
-    """Match two rectified views by semi-global matching.
+    """Match two rectified views to whole pixels, near which the result is drawn.
 
     Takes 4 bytes of memory for every pixel and level.
 

@@ -14,7 +14,7 @@ from telewide.matching import joint
 from telewide.matching.inference import full_precision, match_with_volume
 from telewide.matching.joint import match_jointly
 from telewide.matching.networks import build_network
-from telewide.matching.semiglobal import match_semiglobal
+from telewide.matching.semiglobal import match_semiglobal, match_to_levels
 from telewide.simulate.layers import RenderedPair, render_pair
 from telewide.simulate.scene import random_scene
 
@@ -79,15 +79,15 @@ def test_what_photos_do_not_tell_is_taken_from_the_doubt() -> None:
         cost[:, 60:] = min(40, 8 * abs(disparity_px - 21))
         return cost
 
-    found = match_semiglobal(wall, wall, window=(0, 32), doubt=doubt)
+    found = match_to_levels(wall, wall, window=(0, 32), doubt=doubt)
     assert np.median(np.abs(found.disparity_px[:, 36:56] - 11)) < 0.5
     assert np.median(np.abs(found.disparity_px[:, 70:90] - 21)) < 0.5
 
 
 def test_no_doubt_is_a_doubt_of_zero(rendered: RenderedPair) -> None:
     zero = np.zeros(rendered.ref.shape[:2], np.uint16)
-    alone = match_semiglobal(rendered.ref, rendered.src, window=WINDOW)
-    doubted = match_semiglobal(rendered.ref, rendered.src, window=WINDOW, doubt=lambda disparity_px: zero)
+    alone = match_to_levels(rendered.ref, rendered.src, window=WINDOW)
+    doubted = match_to_levels(rendered.ref, rendered.src, window=WINDOW, doubt=lambda disparity_px: zero)
     np.testing.assert_array_equal(alone.disparity_px, doubted.disparity_px)
 
 
