@@ -13,9 +13,11 @@ class Conv3d(nn.Conv3d):
     planes (seen in torch 2.13: 14 times slower for 32 channels of 8x80x160, half of an inference).
     """
 
-    def __init__(self, c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, bias: bool = True) -> None:
+    def __init__(
+        self, c_in: int, c_out: int, *, kernel: int = 3, stride: int | tuple[int, int, int] = 1, bias: bool = True
+    ) -> None:
         super().__init__(c_in, c_out, kernel, stride=stride, padding=kernel // 2, bias=bias)
-        self._steps = ([kernel // 2] * 3, [stride] * 3, [1, 1, 1])
+        self._steps = ([kernel // 2] * 3, list(self.stride), [1, 1, 1])
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, c_in, D, H, W) to (B, c_out, D', H', W')."""

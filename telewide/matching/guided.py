@@ -29,8 +29,9 @@ UPDATES = 2
 REACH = 3
 """Planes on each side of the guess that an update sees."""
 HALF_GROUPS, HALF_CHANNELS, HALF_REACH = 4, 16, 2
-DEEPEST_STRIDE = 8
-"""Planes are padded to a multiple of this, and cut again."""
+PLANES_MULTIPLE, LEAST_PLANES = 4, 12
+"""Planes are padded to this, and cut again: the coarsest level has a quarter of them, and no less than three (oneDNN's
+bf16 gradient of a 3-D convolution over two planes reads memory that nobody has written)."""
 DISPARITY_SCALE_PX = 8.0
 
 
@@ -104,7 +105,7 @@ class _Hourglass(nn.Module):
         self.enter = nn.Sequential(Conv3d(GROUPS, 16), relu)
         self.down1 = nn.Sequential(Conv3d(16, 32, stride=2), relu, Conv3d(32, 32), relu)
         self.down2 = nn.Sequential(Conv3d(32, 48, stride=2), relu, Conv3d(48, 48), relu)
-        self.down3 = nn.Sequential(Conv3d(48, 64, stride=2), relu, Conv3d(64, 64), relu)
+        self.down3 = nn.Sequential(Conv3d(48, 64, stride=(1, 2, 2)), relu, Conv3d(64, 64), relu)
         self.gates = nn.ModuleList([nn.Conv2d(QUARTER, c, 1) for c in (16, 32, 48)])
         self.lift3, self.lift2, self.lift1 = (
             Conv3d(64, 48, kernel=1),
@@ -208,7 +209,7 @@ class GuidedMatching(nn.Module):
 
     def _regularised(self, correlation: Tensor, trunk: Tensor) -> Tensor:
         planes = correlation.shape[2]
-        padded = functional.pad(correlation, (0, 0, 0, 0, 0, -planes % DEEPEST_STRIDE))
+        padded = functional.pad(correlation, (0, 0, 0, 0, 0, max(-planes % PLANES_MULTIPLE, LEAST_PLANES - planes)))
         volume = padded.contiguous(memory_format=torch.channels_last_3d)
         regularised: Tensor = self.hourglass(volume, trunk)[:, :planes]
         return regularised.float()
