@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import numpy as np
 
-from telewide.capture.images import write_pfm
+from telewide.capture.images import read_pfm, write_pfm
 from telewide.capture.pair import RectifiedPair, read_pair
+from telewide.errors import InputError, UsageError
 from telewide.geometry.stereo import FloatMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
@@ -20,7 +22,7 @@ LABEL_CONFIDENCE = 0.5
 def write_labels(
     prepared: PreparedSet, *, names: Iterable[str], window: Window, tick: Callable[[], None] | None = None
 ) -> None:
-    """Write the confident semi-global disparities of some pairs, to teach by; those that are there stay.
+    """Write the confident semi-global disparities of some pairs, to teach by; those that are there, and whole, stay.
 
     Args:
         prepared: the pairs.
@@ -31,11 +33,19 @@ def write_labels(
     wanted = set(names)
     for item in prepared.pairs:
         path = labels_path(item.capture.tele_path.parent, window_px=window)
-        if item.capture.name in wanted and not path.is_file():
+        if item.capture.name in wanted and not _is_whole(path):
             pair = read_pair(item.capture)
             write_pfm(path, _confident(pair, window))
         if tick is not None:
             tick()
+
+
+def _is_whole(labels: Path) -> bool:
+    try:
+        read_pfm(labels)
+    except (InputError, UsageError):  # not there, or cut off
+        return False
+    return True
 
 
 def _confident(pair: RectifiedPair, window: Window) -> FloatMap:

@@ -55,9 +55,10 @@ from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line
 from telewide.training.samples import LABELS_PREFIX
 
-FORMAT = 5
+FORMAT = 6
 RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
+_PAIR_FILES = ("tele.png", "wide.png", "matches.npz")
 
 
 Tick = Callable[[PairReport | None], None]
@@ -187,8 +188,11 @@ def _prepare_pair(
         },
         "blur": None if blur is None else dataclasses.asdict(blur),
     }
+    names = list(_PAIR_FILES)
     if alignment is not None:
         write_text(folder / SHOT_NAME, alignment_as_json(alignment))
+        names.append(SHOT_NAME)
+    content["files_sha256"] = {name: fingerprint(folder / name) for name in names}
     write_text(folder / RECORD_NAME, json.dumps(content, indent=2))
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is None:
@@ -270,10 +274,12 @@ def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRi
 def _read_kept(
     capture: Capture, folder: Path, *, key: dict[str, object], recipe: Recipe, rig: StoredRig | None
 ) -> PreparedPair | None:
-    """The pair as an earlier call left it, or None where it is not there or was made from something else."""
+    """The pair as an earlier call left it; None where it is not there, is not whole, or is of something else."""
     try:
         content = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
         if content["key"] != json.loads(json.dumps(key)):
+            return None
+        if any(fingerprint(folder / name) != sha256 for name, sha256 in content["files_sha256"].items()):
             return None
         report = PairReport(**{**content["report"], "reasons": tuple(content["report"]["reasons"])})
         with np.load(folder / "matches.npz", allow_pickle=False) as matches:
@@ -283,11 +289,9 @@ def _read_kept(
         if rig is not None:
             text = (folder / SHOT_NAME).read_text(encoding="utf-8")
             alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, UsageError):
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
-    if not (corrected.tele_path.is_file() and corrected.wide_path.is_file()):
-        return None
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
     return PreparedPair(capture, corrected, report, float(content["scale"]), held_out, alignment, blur)
 

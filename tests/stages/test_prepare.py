@@ -54,6 +54,48 @@ def test_a_stopped_preparation_vouches_for_nothing(
     assert np.array_equal(read_image(wide_path), expected)
 
 
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        ("tele.png", "cut"),
+        ("wide.png", "flipped"),
+        ("matches.npz", "cut"),
+        ("matches.npz", "flipped"),
+        ("pair.json", "empty"),
+        ("tele.png", "gone"),
+    ],
+)
+def test_kept_files_that_are_damaged_are_made_again(captures: Path, tmp_path: Path, name: str, damage: str) -> None:
+    run = tmp_path / "run"
+    first = prepared(captures, run)
+    path = run / "pairs" / first.pairs[0].capture.name / name
+    whole = path.read_bytes()
+    if damage == "gone":
+        path.unlink()
+    elif damage == "flipped":
+        middle = len(whole) // 2
+        path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 0xFF]) + whole[middle + 1 :])
+    else:
+        path.write_bytes(whole[: len(whole) // 2 if damage == "cut" else 0])
+    again = prepared(captures, run)
+    assert again.problems == ()
+    assert again.pairs[0].report == first.pairs[0].report
+    np.testing.assert_array_equal(again.pairs[0].held_out.ref_px, first.pairs[0].held_out.ref_px)
+    if name.endswith(".png"):
+        assert path.read_bytes() == whole
+
+
+def test_labels_that_were_cut_off_are_written_again(captures: Path, tmp_path: Path) -> None:
+    pairs = prepared(captures, tmp_path / "run")
+    path = labels_path(pairs.pairs[0].capture.tele_path.parent, window_px=(0, 32))
+    names = [pairs.pairs[0].capture.name]
+    write_labels(pairs, names=names, window=(0, 32))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-100])
+    write_labels(pairs, names=names, window=(0, 32))
+    assert path.read_bytes() == whole
+
+
 def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) -> None:
     pairs = prepared(captures, tmp_path / "run")
     folder = pairs.pairs[0].capture.tele_path.parent
