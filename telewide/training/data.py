@@ -86,13 +86,21 @@ def iterate_batches(dataset: StepBatches, *, first_step: int, workers: int) -> I
         # A forked process inherits OpenCV's locks without the threads that hold them, and waits for ever.
         multiprocessing_context="spawn" if workers else None,
     )
-    with _interrupts_ignored():  # which worker processes inherit: Ctrl-C is answered by this process alone
+    with _interrupts_held():  # which worker processes inherit: Ctrl-C is answered by this process alone
         batches = iter(loader)
     yield from batches
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
+def _interrupts_held() -> Iterator[None]:
+    """Let no Ctrl-C through within the block; one that comes meanwhile is answered afterwards."""
+    if hasattr(signal, "pthread_sigmask"):
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return
     if threading.current_thread() is not threading.main_thread():
         yield
         return

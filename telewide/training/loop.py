@@ -125,13 +125,16 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
     """
     plan = plan_stages(training.options)
     _check_processes(plan, training.processes)
-    while not state.is_finished:
-        stage = plan[state.stage_index]
-        if state.step == 0:
-            _begin_stage(state, stage)
-        reporter.stage_started(stage, first_step=state.step)
-        _run_stage(training, state, stage, reporter)
-        _end_stage(training, state, stage, plan, reporter)
+    with _stop_request() as is_stop_requested:
+        while not state.is_finished:
+            stage = plan[state.stage_index]
+            if state.step == 0:
+                _begin_stage(state, stage)
+            reporter.stage_started(stage, first_step=state.step)
+            _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
+            _end_stage(training, state, stage, plan, reporter)
+            if training.processes.is_any(is_stop_requested()):  # during the last judgement, or since
+                raise KeyboardInterrupt
     return state
 
 
@@ -153,31 +156,37 @@ def _begin_stage(state: TrainingState, stage: Stage) -> None:
     state.judgements = []
 
 
-def _run_stage(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> None:
+def _run_stage(
+    training: Training,
+    state: TrainingState,
+    stage: Stage,
+    reporter: Reporter,
+    *,
+    is_stop_requested: Callable[[], bool],
+) -> None:
     processes = training.processes
     dataset = StepBatches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
     if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
         return  # stopped by hand just before it was asked
     saved_s = time.monotonic()
     state.network.train()
-    with _stop_request() as is_stop_requested:
-        begun_s = time.monotonic()
-        for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
-            losses = take_step(state, batch.to(training.device), stage, training=training)
-            state.step += 1
-            reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
-            if processes.is_any(is_stop_requested()):
-                _save_underway(training, state, stage)
-                raise KeyboardInterrupt
-            if _is_judgement_due(training, state, stage):
-                if _is_converged(training, state, stage, reporter):
-                    break
-                state.network.train()
-            # After the judgement, which would otherwise be missing from the checkpoint of its own step.
-            if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
-                _save_underway(training, state, stage)
-                saved_s = time.monotonic()
-            begun_s = time.monotonic()  # the next step's time holds its wait for the batch
+    begun_s = time.monotonic()
+    for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
+        losses = take_step(state, batch.to(training.device), stage, training=training)
+        state.step += 1
+        reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
+        if processes.is_any(is_stop_requested()):
+            _save_underway(training, state, stage)
+            raise KeyboardInterrupt
+        if _is_judgement_due(training, state, stage):
+            if _is_converged(training, state, stage, reporter):
+                break
+            state.network.train()
+        # After the judgement, which would otherwise be missing from the checkpoint of its own step.
+        if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
+            _save_underway(training, state, stage)
+            saved_s = time.monotonic()
+        begun_s = time.monotonic()  # the next step's time holds its wait for the batch
 
 
 def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> dict[str, float]:
@@ -270,19 +279,31 @@ def _is_converged(training: Training, state: TrainingState, stage: Stage, report
     _keep_best(state, stage)
     reporter.judged(stage, step=state.step, judgement=judgement)
     patience = training.options.patience
-    if state.step < stage.options.least_steps or len(state.judgements) <= patience:
+    if state.step < stage.options.counts_from or len(state.judgements) <= patience:
         return False
-    before, recent = state.judgements[:-patience], state.judgements[-patience:]
-    return min(recent) > min(before) - LEAST_GAIN_PX
+    before, recent = (_least_px(some) for some in (state.judgements[:-patience], state.judgements[-patience:]))
+    return before < math.inf and recent > before - LEAST_GAIN_PX
+
+
+def _least_px(judgements: Sequence[float]) -> float:
+    """The best of some judgements; infinite where none could be made."""
+    return min((judgement for judgement in judgements if not math.isnan(judgement)), default=math.inf)
 
 
 def _keep_best(state: TrainingState, stage: Stage) -> None:
     """Remember the average as it is if it is the best yet; before the stage's least steps nothing counts."""
     judgement = state.judgements[-1]
-    # Not "smaller": where nothing can be judged, the last weights are the result.
-    if state.step >= stage.options.least_steps and not (state.best and judgement >= state.best.judgement):
+    is_better = state.best is None or not _is_no_better(judgement, than=state.best.judgement)
+    if state.step >= stage.options.counts_from and is_better:
         weights = {name: value.clone() for name, value in state.average.state_dict().items()}
         state.best = BestWeights(state.step, judgement, weights)
+
+
+def _is_no_better(judgement: float, *, than: float) -> bool:
+    """Whether a judgement speaks against what came later; where nothing could be judged at all, the later is taken."""
+    if math.isnan(than):
+        return False
+    return math.isnan(judgement) or judgement >= than
 
 
 def _ask(training: Training, state: TrainingState) -> dict[str, float]:
@@ -307,7 +328,7 @@ def _end_stage(
     if training.processes.is_writer:
         save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
     reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
-    is_worse = bool(state.stage_judgements) and result >= state.stage_judgements[state.best_stage]
+    is_worse = bool(state.stage_judgements) and _is_no_better(result, than=state.stage_judgements[state.best_stage])
     state.stage_judgements.append(result)
     if not is_worse:
         state.best_stage = stage.index
@@ -356,7 +377,7 @@ def _section(stage: Stage) -> str:
 
 @contextmanager
 def _stop_request() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C into a request that is answered between two steps; the second one is as usual."""
+    """Turn the first Ctrl-C into a request that is answered between two steps or stages; the second one is as usual."""
     requested = False
 
     def note(signum: int, frame: FrameType | None) -> None:

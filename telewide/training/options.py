@@ -21,7 +21,8 @@ class StageOptions(Options):
     steps: Count = 1000
     """Ceiling on steps; 0 leaves the stage out."""
     least_steps: Count = 0
-    """Steps before a plateau may end the stage; its result is the best judged from there on."""
+    """Steps before a plateau may end the stage; its result is the best judged from there on, and of a shorter stage the
+    last."""
     learning_rate: Positive = 1e-3
     """Of Adam; warmed up over the first steps, falling to a tenth over the last quarter of the ceiling."""
     rehearsed: Count = 0
@@ -44,6 +45,11 @@ class StageOptions(Options):
     """Weight of confident semi-global labels beside another loss of the real crops."""
     judge_every_steps: Annotated[int, Field(ge=1)] | None = None
     """How often the held-out matches are asked; null takes what holds for all stages."""
+
+    @property
+    def counts_from(self) -> int:
+        """Steps from which on a judgement decides."""
+        return min(self.least_steps, self.steps)
 
     @model_validator(mode="after")
     def _has_crops(self) -> StageOptions:
@@ -78,3 +84,16 @@ class TrainOptions(Options):
     """Share of the captures (of each picture's width, when there are few) kept for judging."""
     asymmetry: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] | None = None
     """Range of the factor by which rehearsed views lose resolution; null takes what was measured on the pairs."""
+
+    @model_validator(mode="after")
+    def _has_what_its_stages_need(self) -> TrainOptions:
+        if self.asymmetry is not None and self.asymmetry[0] > self.asymmetry[1]:
+            raise ValueError(f"asymmetry {list(self.asymmetry)} runs from the smaller factor to the larger")
+        is_first = not (self.rehearsal.steps or self.photometric.steps)
+        feature = self.feature
+        if is_first and self.stages and feature.steps and feature.captured and feature.captured_loss == "feature":
+            raise ValueError(
+                "feature-metric stages compare by what the stage before has learned: rehearsal.steps or "
+                "photometric.steps above 0"
+            )
+        return self

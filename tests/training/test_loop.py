@@ -25,7 +25,7 @@ from telewide.training.checkpoint import (
     new_state,
     save_state,
 )
-from telewide.training.data import StepBatches
+from telewide.training.data import StepBatches, _interrupts_held
 from telewide.training.loop import COOL_DOWN_SHARE, LAST_LEARNING_RATE, WARM_UP_STEPS, learning_rate, take_step, train
 from telewide.training.objective import Batch
 from telewide.training.options import WEIGHTS_NAME, TrainOptions
@@ -466,3 +466,94 @@ def test_more_processes_than_crops_are_refused(tmp_path: Path, source: SampleSou
     with pytest.raises(UsageError, match="2 crops a step") as raised:
         train(training, fresh(), reporter=Heard())
     assert "train.photometric.captured" in str(raised.value.hint) or "photometric" in str(raised.value.hint)
+
+
+# What contradicts, and what cannot be judged
+
+
+def test_a_stage_shorter_than_its_least_steps_has_a_result(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 2, "least_steps": 600}, stages=0)
+    judge = ScriptedJudge((0.1, 0.3))
+    state = train(training_in(tmp_path, source, options=options, judge=judge), fresh(), reporter=Heard())
+    assert state.stage_judgements == [0.3]
+    assert state.best is not None
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("answers", "best"),
+    [
+        ((0.4, NAN, 0.9), "rehearsal"),
+        ((0.4, NAN, 0.3), "feature-1"),
+        ((NAN, 0.5, 0.9), "photometric"),
+        ((0.5, 0.4, NAN), "photometric"),
+        ((NAN, NAN, NAN), "feature-1"),
+    ],
+)
+def test_no_stage_is_chosen_by_what_could_not_be_judged(
+    tmp_path: Path, source: SampleSource, answers: tuple[float, ...], best: str
+) -> None:
+    """A later stage must not be worse than an earlier one; unknown is not better; all unknown, the last is taken."""
+    options = short(rehearsal={"steps": 1, "rehearsed": 1}, photometric=PHOTOMETRIC, feature=FEATURE, stages=1)
+    training = training_in(tmp_path, source, options=options, judge=ScriptedJudge(answers))
+    state = train(training, fresh(), reporter=Heard())
+    assert plan_stages(options)[state.best_stage].name == best
+    assert load_weights(tmp_path / WEIGHTS_NAME, device=CPU)[1].training["stage"] == best
+
+
+def test_no_weights_are_chosen_by_what_could_not_be_judged(tmp_path: Path, source: SampleSource) -> None:
+    options = short(photometric={**PHOTOMETRIC, "steps": 9}, stages=0, patience=2)
+    heard = Heard()
+    judge = ScriptedJudge((0.5, NAN, NAN, 0.1))
+    state = train(training_in(tmp_path, source, options=options, judge=judge), fresh(), reporter=heard)
+    assert len(heard.losses) == 3, "two answers in a row that brought nothing better"
+    assert state.best is not None
+    assert (state.best.step, state.best.judgement) == (1, 0.5)
+
+
+# Interrupts that come when no step is taken
+
+
+@dataclass
+class StoppedJudge(ScriptedJudge):
+    """Is interrupted while it answers for the n-th time."""
+
+    at: int = 1
+
+    def __call__(self, network: StereoNetwork) -> dict[str, float]:
+        answer = super().__call__(network)
+        if self.asked == self.at:
+            signal.raise_signal(signal.SIGINT)
+        return answer
+
+
+@pytest.mark.parametrize("at", [1, 2])
+def test_an_interrupt_during_a_stages_last_judgement_stops_the_training(
+    tmp_path: Path, source: SampleSource, at: int
+) -> None:
+    """With what was judged kept: nothing is asked twice, and the end is the uninterrupted one."""
+    options = short(photometric=PHOTOMETRIC, feature=FEATURE, stages=1)
+    training = training_in(tmp_path, source, options=options, judge=StoppedJudge((0.5, 0.4), at=at))
+    with pytest.raises(KeyboardInterrupt):
+        train(training, fresh(), reporter=Heard())
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    state = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
+    assert (state.stage_judgements, state.is_finished) == (([0.5], False), ([0.5, 0.4], True))[at - 1]
+    heard = Heard()
+    end = train(training, state, reporter=heard)
+    assert end.stage_judgements == [0.5, 0.4]
+    assert list(heard.losses) == ([("feature-1", 1)], [])[at - 1]
+
+
+def test_an_interrupt_while_workers_start_is_answered_afterwards() -> None:
+    def start() -> None:
+        with _interrupts_held():
+            signal.raise_signal(signal.SIGINT)
+            reached.append("the end of the block")
+
+    reached: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert reached

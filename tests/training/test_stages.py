@@ -106,3 +106,20 @@ def test_stages_without_steps_are_left_out_and_the_others_counted_on() -> None:
     plan = plan_stages(TrainOptions.model_validate({"stages": 2, "photometric": stage, "feature": stage}))
     assert [(stage.name, stage.index) for stage in plan] == [("photometric", 0), ("feature-1", 1), ("feature-2", 2)]
     assert plan_stages(TrainOptions.model_validate({"stages": 0, "feature": stage})) == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"asymmetry": (4, 2)}, "from the smaller factor to the larger"),
+        ({"feature": {"steps": 5, "captured": 1, "captured_loss": "feature"}}, "photometric.steps above 0"),
+    ],
+)
+def test_options_that_contradict_are_refused(options: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        TrainOptions.model_validate(options)
+
+
+def test_least_steps_beyond_a_stage_are_its_last() -> None:
+    lengths = [StageOptions(steps=steps, least_steps=600, captured=1).counts_from for steps in (300, 600, 900)]
+    assert lengths == [300, 600, 600]
