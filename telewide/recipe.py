@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 from telewide.assets import find_asset
 from telewide.errors import InputError, UsageError
 from telewide.files import read_yaml
-from telewide.matching.window import check_window
+from telewide.matching.window import MAX_DISPARITY_PX, check_stated_window
 from telewide.options import Options, apply_settings, parse_options
 from telewide.training.options import TrainOptions
 
@@ -33,9 +33,9 @@ class Recipe(Options):
     """One line for people."""
     network: str = "lite"
     """Name of the network."""
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=1 << 32)] = 0
     """Of weights and samples."""
-    working_width_px: Annotated[int, Field(ge=128)] = 1536
+    working_width_px: Annotated[int, Field(ge=128, le=MAX_DISPARITY_PX)] = 1536
     """Larger photos are matched at this width; depth comes back at their own size."""
     window_px: tuple[int, int] | None = None
     """Disparities [d_min, d_max) to search, at the working size; None measures them on the captures."""
@@ -46,7 +46,7 @@ class Recipe(Options):
     @classmethod
     def _fits_the_volume(cls, window: tuple[int, int] | None) -> tuple[int, int] | None:
         if window is not None:
-            check_window(window)
+            check_stated_window(window)
         return window
 
 

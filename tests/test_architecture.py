@@ -17,6 +17,8 @@ from source import FunctionNode, Module, at, functions, imports, module_from_tex
 LAYERS = {
     "errors": 0,
     "options": 0,
+    "npz": 0,
+    "plain": 0,
     "assets": 0,
     "cores": 0,
     "files": 0,

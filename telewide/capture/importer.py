@@ -18,6 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 from telewide.capture.damage import why_damaged
 from telewide.capture.exif import PhotoFacts, read_photo_facts
@@ -27,7 +28,7 @@ from telewide.capture.layout import TRUTH, VIEWS
 from telewide.capture.lens_choice import ChosenLenses, LensChoice
 from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import replacing, write_text
+from telewide.files import read_json, replacing, write_text
 
 FORMAT = 1
 PAIR_FILE = "pair.json"
@@ -135,10 +136,10 @@ def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick
 def is_imported(folder: Path) -> bool:
     """Whether a capture folder was made by an import: its photos are as the phone took them."""
     try:
-        record = json.loads((folder / PAIR_FILE).read_text(encoding="utf-8"))
-        return "seconds_apart" in record
-    except (OSError, ValueError, TypeError):  # no record, or one of something else
+        record = read_json(folder / PAIR_FILE)
+    except TelewideError:  # no record, or one that cannot be read
         return False
+    return isinstance(record, dict) and "seconds_apart" in record
 
 
 def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]]:
@@ -247,11 +248,11 @@ def _imported(captures: Path) -> dict[_SourceKey, str]:
     found: dict[_SourceKey, str] = {}
     for path in sorted(captures.glob(f"*/{PAIR_FILE}")):
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = cast(dict[str, Any], read_json(path))
             for view in ("tele", "wide"):
                 source = record[view]
                 found[str(source["source"]), int(source["bytes"]), str(source["taken"] or "")] = path.parent.name
-        except (OSError, ValueError, KeyError, TypeError):  # not of this kind: its photos come again
+        except (TelewideError, ValueError, KeyError, TypeError):  # not of this kind: its photos come again
             continue
     return found
 

@@ -8,6 +8,7 @@ Convention: ``disparity_px = x_tele - x_wide``, ``vertical_px = y_tele - y_wide`
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -197,7 +198,13 @@ def disparity_window(
     Raises:
         InputError: no pair has enough matches.
     """
-    telling = [r for r in reports if r.verdict != "refused" and r.n_matches >= MIN_COMMON_MATCHES]
+    telling = [
+        r
+        for r in reports
+        if r.verdict != "refused"
+        and r.n_matches >= MIN_COMMON_MATCHES
+        and math.isfinite(r.disparity_p02_px + r.disparity_p98_px)
+    ]
     if not telling:
         raise InputError(
             f"none of the {len(reports)} pairs has {MIN_COMMON_MATCHES} consistent matches to tell a window from",

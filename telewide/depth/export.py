@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 from telewide.capture.images import write_image, write_pfm, write_png16
 from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult
+from telewide.errors import InputError
 from telewide.files import replacing
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.npz import read_npz
 
 NPZ_FORMAT = 1
+NPZ_NAME = "depth.npz"
 PNG_STEPS_PER_PX = 256
 _PNG_LARGEST = 65535
 
@@ -60,12 +63,29 @@ def write_depth(folder: Path, result: DepthResult, *, image: FloatMap | None = N
     else:
         write_png16(png_path, png_from_disparity(result.disparity.disparity_px))
         paths.append(png_path)
-    paths.append(folder / "depth.npz")
+    paths.append(folder / NPZ_NAME)
     _write_npz(paths[-1], npz_arrays(result))
     if image is not None:
         paths.append(folder / "preview.png")
         write_image(paths[-1], preview(image, result))
     return WrittenDepth(paths=tuple(paths), notes=tuple(notes))
+
+
+def read_disparity(path: Path) -> DisparityMap:
+    """Read the disparity that `write_depth` wrote.
+
+    Args:
+        path: a ``depth.npz``.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is damaged, or of another kind.
+    """
+    disparity_px, confidence, valid = read_npz(path, ("disparity", "confidence", "valid"))
+    maps = (disparity_px.astype(np.float32), confidence.astype(np.float32), valid.astype(np.bool_))
+    if disparity_px.ndim != 2 or any(one.shape != disparity_px.shape for one in maps):
+        raise InputError(f"{path} is damaged: its maps are not of one size")
+    return DisparityMap(*maps)
 
 
 def png_refusal(result: DepthResult) -> str | None:

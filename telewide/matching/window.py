@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 VOLUME_STEP_PX = 4
+MAX_DISPARITY_PX, MAX_SPAN_PX = 8192, 4096
 Window = tuple[int, int]
 
 
@@ -20,6 +21,20 @@ def check_window(window: Window) -> None:
     d_min, d_max = window
     if d_min >= d_max or d_min % VOLUME_STEP_PX or d_max % VOLUME_STEP_PX:
         raise ValueError(f"disparity window {window}: expected d_min < d_max, multiples of {VOLUME_STEP_PX} px")
+
+
+def check_stated_window(window: Window) -> None:
+    """Refuse a window that a file states and no pair needs: it would ask for a volume of many gigabytes.
+
+    Raises:
+        ValueError: it does not fit the volume, or reaches or spans too far.
+    """
+    check_window(window)
+    d_min, d_max = window
+    if max(abs(d_min), abs(d_max)) > MAX_DISPARITY_PX or d_max - d_min > MAX_SPAN_PX:
+        raise ValueError(
+            f"disparity window {window}: at most {MAX_SPAN_PX} px within {-MAX_DISPARITY_PX} to {MAX_DISPARITY_PX} px"
+        )
 
 
 def widened_window(window: Window, *, planes: int) -> Window:

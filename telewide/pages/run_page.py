@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import json
+import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 
-import numpy as np
-
 from telewide.capture.images import read_image
 from telewide.capture.pair import PhotoPair
+from telewide.depth.export import NPZ_NAME, read_disparity
 from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
-from telewide.geometry.stereo import DisparityMap
+from telewide.errors import TelewideError
 from telewide.pages.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line
+from telewide.training.log import LogLine, read_log
 from telewide.training.stages import plan_stages
+
+_log = logging.getLogger("telewide")
 
 
 def report_row(
@@ -37,7 +39,10 @@ def report_row(
     """
     views = (("wide", pair.wide), ("tele", pair.tele))
     pictures = [thumbnail(label, upright(photo, rotated_deg=rotated_deg)) for label, photo in views]
-    pictures.append(_disparity_picture(folder, root, rotated_deg=rotated_deg))
+    try:
+        pictures.append(_disparity_picture(folder, root, rotated_deg=rotated_deg))
+    except TelewideError as error:
+        _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
     bokeh = folder / "bokeh.jpg"
     if bokeh.is_file():
         pictures.append(thumbnail("bokeh", read_image(bokeh), link=_link(bokeh, root)))
@@ -92,20 +97,20 @@ def next_steps(run: RunFolder, *, recipe: Recipe, captures: Path, rig: Path | No
 
 def training_curves(log: Path) -> tuple[Curve, ...]:
     """Curves of the loss and of the judge, read from a training log; none where there is no log."""
-    if not log.is_file():
-        return ()
-    entries = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
-    starts = _stage_starts(entries)
+    lines = read_log(log)
+    starts = _stage_starts(lines)
     marks = [(float(start), name) for name, start in starts.items()]
 
     def curve(label: str, points: list[tuple[float, float]]) -> Curve:
         return Curve(label, [x for x, _ in points], [y for _, y in points], marks)
 
-    losses = [(starts[e["stage"]] + e["step"], sum(e["losses"].values())) for e in entries if "losses" in e]
+    losses = [
+        (float(starts[line.stage] + line.step), sum(line.losses.values(), start=0.0)) for line in lines if line.losses
+    ]
     answers = [
-        (starts[e["stage"]] + e["step"], 100 * e["judgement"]["off_1px"])
-        for e in entries
-        if "judgement" in e and e["judgement"]["off_1px"] is not None
+        (float(starts[line.stage] + line.step), 100 * line.judgement["off_1px"])
+        for line in lines
+        if "off_1px" in line.judgement
     ]
     named = (("loss", losses), ("held-out matches off by more than 1 px, %", answers))
     return tuple(curve(label, points) for label, points in named if points)
@@ -117,8 +122,7 @@ def _training_steps(recipe: Recipe) -> int:
 
 def _disparity_picture(folder: Path, root: Path, *, rotated_deg: int) -> Picture:
     """The map alone, as large as the photos beside it; it leads to the preview with its scale."""
-    with np.load(folder / "depth.npz", allow_pickle=False) as arrays:
-        disparity = DisparityMap(arrays["disparity"], arrays["confidence"], arrays["valid"])
+    disparity = read_disparity(folder / NPZ_NAME)
     height, width = upright(disparity.disparity_px, rotated_deg=rotated_deg).shape
     result = DepthResult(name=folder.name, disparity=disparity, rotated_deg=rotated_deg)
     panel = disparity_panel(result, wh=(width, height))
@@ -127,16 +131,15 @@ def _disparity_picture(folder: Path, root: Path, *, rotated_deg: int) -> Picture
     return thumbnail(label, panel, link=_link(folder / "preview.png", root))
 
 
-def _stage_starts(entries: list[dict[str, object]]) -> dict[str, int]:
+def _stage_starts(lines: Sequence[LogLine]) -> dict[str, int]:
     """First step of each stage, counted from the first stage's."""
     starts: dict[str, int] = {}
     begun, last = 0, 0
-    for entry in entries:
-        name, step = str(entry["stage"]), int(str(entry["step"]))
-        if name not in starts:
+    for line in lines:
+        if line.stage not in starts:
             begun = begun + last if starts else 0
-            starts[name] = begun
-        last = step
+            starts[line.stage] = begun
+        last = line.step
     return starts
 
 

@@ -7,13 +7,11 @@ What was fitted is kept as plain numbers, so that results find back to the photo
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import Any, cast
 
 from telewide.calibration.rig_file import StoredRig
 from telewide.calibration.scene_quality import zero_std_px
@@ -24,10 +22,13 @@ from telewide.correction.moving import MovedRegion, find_moving, moving_note
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.refinement import ShotRefinement, fit_shot, refined_rig
 from telewide.depth.precision import DepthPrecision, lens_shift_std_share
+from telewide.files import parse_json
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
+from telewide.plain import from_plain
 from telewide.points.photo_matches import find_photo_matches
 from telewide.points.scale import estimate_scale
+from telewide.text import json_text
 
 _log = logging.getLogger("telewide")
 
@@ -192,7 +193,7 @@ def alignment_as_json(alignment: Alignment) -> str:
         "asymmetry": vars(alignment.asymmetry),
         "moved": [{**vars(region), "outline_px": region.outline_px.tolist()} for region in alignment.moved],
     }
-    return json.dumps(plain, indent=2) + "\n"
+    return json_text(plain, indent=2) + "\n"
 
 
 def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | None) -> Alignment:
@@ -207,17 +208,18 @@ def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | No
         KeyError: a key is missing.
         TypeError: a value is of another kind.
         ValueError: likewise.
+        InputError: it is of photos that the rig does not fit.
     """
-    plain = json.loads(text)
-    shot = dict(plain["refinement"])
-    for name in ("rotation_vector", "rotation_std_rad", "translation_direction"):
-        shot[name] = None if shot[name] is None else np.asarray(shot[name], dtype=np.float64)
-    refinement = ShotRefinement(**{**shot, "notes": tuple(shot["notes"])})
-    moved = tuple(
-        MovedRegion(**{**region, "outline_px": np.asarray(region["outline_px"], dtype=np.float64)})
-        for region in plain["moved"]
-    )
-    asymmetry = AsymmetryEstimate(**{**plain["asymmetry"], "statements": tuple(plain["asymmetry"]["statements"])})
-    of_sizes = rig_at_sizes(rig, tele_hw=tuple(plain["tele_hw"]), wide_hw=tuple(plain["wide_hw"]))
+    plain = cast(dict[str, Any], parse_json(text))
+    refinement = from_plain(ShotRefinement, plain["refinement"])
+    moved = tuple(from_plain(MovedRegion, region) for region in plain["moved"])
+    turns = (refinement.rotation_vector, refinement.rotation_std_rad, refinement.translation_direction)
+    if any(turn is not None and turn.shape != (3,) for turn in turns):
+        raise ValueError("a turn or a direction has three numbers")
+    if any(region.outline_px.ndim != 2 or region.outline_px.shape[1] != 2 for region in moved):
+        raise ValueError("an outline has rows of x and y")
+    asymmetry = from_plain(AsymmetryEstimate, plain["asymmetry"])
+    (tele_h, tele_w), (wide_h, wide_w) = plain["tele_hw"], plain["wide_hw"]
+    of_sizes = rig_at_sizes(rig, tele_hw=(int(tele_h), int(tele_w)), wide_hw=(int(wide_h), int(wide_w)))
     geometry = rectified_geometry(refined_rig(of_sizes, refinement), working_width_px=working_width_px)
     return Alignment(refinement, moved, asymmetry, geometry)

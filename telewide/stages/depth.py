@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from contextlib import suppress
@@ -15,7 +14,7 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Problem
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint
+from telewide.files import fingerprint, read_json
 from telewide.matching.window import Window, joined_window
 from telewide.options import parse_options
 from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
@@ -96,10 +95,10 @@ def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
     path = locate_run(run, captures_root).training_record
     if not path.is_file():
         return load_recipe(DEFAULT_RECIPE)
-    try:
-        return parse_options(Recipe, json.loads(path.read_text())["recipe"], source=str(path), error=InputError)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is damaged", hint="train again with --fresh") from error
+    record = read_json(path)
+    if not isinstance(record, dict) or "recipe" not in record:
+        raise InputError(f"{path} is damaged", hint="train again with --fresh")
+    return parse_options(Recipe, record["recipe"], source=str(path), error=InputError)
 
 
 def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:

@@ -7,10 +7,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
-from telewide.files import write_text
+from telewide.errors import TelewideError
+from telewide.files import read_json, write_text
 
-FORMAT = 2
+FORMAT = 3
 KEPT_NAME = "depth.json"
 
 
@@ -41,14 +43,20 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     """
     path = folder / KEPT_NAME
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = cast(dict[str, Any], read_json(path))
         if content["format"] != FORMAT or content["key"] != json.loads(json.dumps(key)):
             return None
         numbers = {name: math.nan if value is None else float(value) for name, value in content["numbers"].items()}
-        kept = KeptDepth(tuple(content["files"]), tuple(content["notes"]), numbers)
-        return kept if all((folder / name).is_file() for name in kept.files) else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # damaged: it is made again
+        sizes = {str(name): int(n_bytes) for name, n_bytes in content["files_bytes"].items()}
+        are_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in sizes.items())
+        return KeptDepth(tuple(sizes), tuple(map(str, content["notes"])), numbers) if are_whole else None
+    except (TelewideError, ValueError, KeyError, TypeError, AttributeError):  # damaged: it is made again
         return None
+
+
+def _is_file_of(folder: Path, name: str, n_bytes: int) -> bool:
+    path = folder / name
+    return Path(name).name == name and path.is_file() and path.stat().st_size == n_bytes
 
 
 def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object]) -> None:
@@ -60,5 +68,6 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object]) -> N
         key: everything the files depend on, as plain data.
     """
     numbers = {name: value if math.isfinite(value) else None for name, value in kept.numbers.items()}
-    content = {"format": FORMAT, "key": key, "files": kept.files, "notes": kept.notes, "numbers": numbers}
+    sizes = {name: (folder / name).stat().st_size for name in kept.files}
+    content = {"format": FORMAT, "key": key, "files_bytes": sizes, "notes": kept.notes, "numbers": numbers}
     write_text(folder / KEPT_NAME, json.dumps(content, indent=2) + "\n")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_pfm, write_pfm
 from telewide.capture.pair import RectifiedPair, read_pair
 from telewide.errors import InputError, UsageError
@@ -33,19 +34,18 @@ def write_labels(
     wanted = set(names)
     for item in prepared.pairs:
         path = labels_path(item.capture.tele_path.parent, window_px=window)
-        if item.capture.name in wanted and not _is_whole(path):
+        if item.capture.name in wanted and not _are_whole(path, of=item.capture.tele_path):
             pair = read_pair(item.capture)
             write_pfm(path, _confident(pair, window))
         if tick is not None:
             tick()
 
 
-def _is_whole(labels: Path) -> bool:
+def _are_whole(labels: Path, *, of: Path) -> bool:
     try:
-        read_pfm(labels)
+        return read_pfm(labels).shape == read_photo_facts(of).hw
     except (InputError, UsageError):  # not there, or cut off
         return False
-    return True
 
 
 def _confident(pair: RectifiedPair, window: Window) -> FloatMap:

@@ -121,11 +121,11 @@ def _unfinished(weights: Path, card: WeightsCard) -> str | None:
     if weights.name != WEIGHTS_NAME or not state_path.is_file():
         return None
     try:
-        state = load_state(state_path, network_name=card.network, device=choose_device("cpu"))
         plan = plan_stages(parse_options(Recipe, card.recipe, source=str(weights), error=InputError).train)
+        state = load_state(state_path, network_name=card.network, device=choose_device("cpu"), plan=plan)
     except InputError:  # the weights are whole all the same; `telewide train` will say what is wrong
         return None
-    if state.is_finished or state.stage_index >= len(plan):
+    if state.is_finished:
         return None
     stage = plan[state.stage_index]
     place = f"{stage.name}, step {state.step} of {stage.options.steps}"

@@ -10,7 +10,7 @@ from telewide.capture.pair import Capture, CaptureFacts, Problem
 from telewide.correction.blur import BlurEstimate, damage_range
 from telewide.correction.verdict import PairReport, disparity_window
 from telewide.errors import InputError
-from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
+from telewide.matching.window import VOLUME_STEP_PX, Window, check_stated_window, joined_window
 from telewide.points.held_out import HeldOut
 from telewide.stages.align import Alignment
 from telewide.stages.rig import how_to_calibrate
@@ -65,7 +65,9 @@ class PreparedSet:
             InputError: nothing states them, and there are too few matches to measure them.
         """
         try:
-            return self.stated_window or disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
+            return self.stated_window or _believable(
+                disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
+            )
         except InputError as error:
             if self.rig is not None or self.facts.rectified:
                 raise
@@ -87,7 +89,7 @@ class PreparedSet:
         if former is None or self.stated_window is not None:
             return self.window
         try:
-            return joined_window((former, self.window))
+            return _believable(joined_window((former, self.window)))
         except InputError:  # too few matches to measure by
             return former
 
@@ -96,3 +98,14 @@ class PreparedSet:
         """By how much wide is coarser, least and most over the pairs, as measured; None where nothing tells."""
         damage = damage_range([pair.blur for pair in self.pairs if pair.blur is not None])
         return None if damage is None else damage.factor
+
+
+def _believable(window: Window) -> Window:
+    try:
+        check_stated_window(window)
+    except ValueError as error:
+        hint = (
+            "state the window yourself with --set window_px, or leave the captures out whose disparities are so large"
+        )
+        raise InputError(f"{error}: so far apart are the matches of these pairs", hint=hint) from error
+    return window

@@ -17,9 +17,10 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
@@ -34,9 +35,11 @@ from telewide.correction.verdict import (
     correct_pair,
     inspect_pair,
 )
-from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint, replacing, write_text
+from telewide.errors import InputError, TelewideError, UsageError
+from telewide.files import fingerprint, read_json, read_regular, replacing, write_text
 from telewide.matching.window import Window
+from telewide.npz import read_npz
+from telewide.plain import from_plain
 from telewide.points.held_out import HeldOut
 from telewide.points.matches import find_matches
 from telewide.recipe import Recipe
@@ -52,13 +55,14 @@ from telewide.stages.call import Call
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import RunFolder
-from telewide.text import command_line
+from telewide.text import command_line, json_text
 from telewide.training.samples import LABELS_PREFIX
 
 FORMAT = 6
 RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
-_PAIR_FILES = ("tele.png", "wide.png", "matches.npz")
+MATCHES_NAME = "matches.npz"
+_MOST_BYTES_OF_MATCHES = 1 << 26
 
 
 Tick = Callable[[PairReport | None], None]
@@ -188,12 +192,10 @@ def _prepare_pair(
         },
         "blur": None if blur is None else dataclasses.asdict(blur),
     }
-    names = list(_PAIR_FILES)
     if alignment is not None:
         write_text(folder / SHOT_NAME, alignment_as_json(alignment))
-        names.append(SHOT_NAME)
-    content["files_sha256"] = {name: fingerprint(folder / name) for name in names}
-    write_text(folder / RECORD_NAME, json.dumps(content, indent=2))
+    content["files_sha256"] = {name: fingerprint(folder / name) for name in _files_of_pair(rig)}
+    write_text(folder / RECORD_NAME, json_text(content, indent=2))
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is None:
         raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
@@ -209,10 +211,10 @@ def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
 def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
     """Photos that a rig once rectified are no less in need of it where it is not found any more."""
     try:
-        former = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))["key"]
+        former = cast(dict[str, Any], read_json(folder / RECORD_NAME))["key"]
         are_the_same = all(former[name] == key[name] for name in ("tele_sha256", "wide_sha256"))
         had_rig = former["rig"] is not None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (TelewideError, KeyError, TypeError):
         return
     if had_rig and are_the_same:
         raise InputError(
@@ -245,7 +247,7 @@ def _rectified(
 def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
     write_image(folder / "tele.png", corrected.pair.tele)
     write_image(folder / "wide.png", corrected.pair.wide)
-    with replacing(folder / "matches.npz") as temporary:
+    with replacing(folder / MATCHES_NAME) as temporary:
         np.savez(
             temporary,
             held_out_ref_px=corrected.matches_held_out.ref_px,
@@ -276,28 +278,41 @@ def _read_kept(
 ) -> PreparedPair | None:
     """The pair as an earlier call left it; None where it is not there, is not whole, or is of something else."""
     try:
-        content = json.loads((folder / RECORD_NAME).read_text(encoding="utf-8"))
+        content = cast(dict[str, Any], read_json(folder / RECORD_NAME))
         if content["key"] != json.loads(json.dumps(key)):
             return None
-        if any(fingerprint(folder / name) != sha256 for name, sha256 in content["files_sha256"].items()):
+        if any(fingerprint(folder / name) != content["files_sha256"][name] for name in _files_of_pair(rig)):
             return None
-        report = PairReport(**{**content["report"], "reasons": tuple(content["report"]["reasons"])})
-        with np.load(folder / "matches.npz", allow_pickle=False) as matches:
-            ref_px, src_px = matches["held_out_ref_px"], matches["held_out_src_px"]
-        blur = None if content["blur"] is None else _blur_from_plain(content["blur"])
+        report = from_plain(PairReport, content["report"])
+        ref_px, src_px = _read_held_out(folder / MATCHES_NAME)
+        blur = None if content["blur"] is None else from_plain(BlurEstimate, content["blur"])
         alignment = None
         if rig is not None:
-            text = (folder / SHOT_NAME).read_text(encoding="utf-8")
+            text = read_regular(folder / SHOT_NAME).decode()
             alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, UsageError):
+        scale = float(content["scale"])
+    except (TelewideError, ValueError, KeyError, TypeError, ArithmeticError):  # damaged: it is made again
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
-    return PreparedPair(capture, corrected, report, float(content["scale"]), held_out, alignment, blur)
+    return PreparedPair(capture, corrected, report, scale, held_out, alignment, blur)
 
 
-def _blur_from_plain(plain: dict[str, Any]) -> BlurEstimate:
-    return BlurEstimate(**{**plain, "sigma_px": tuple(plain["sigma_px"]), "sigma_std_px": tuple(plain["sigma_std_px"])})
+def _files_of_pair(rig: StoredRig | None) -> tuple[str, ...]:
+    """Names of the files that a record vouches for."""
+    return ("tele.png", "wide.png", MATCHES_NAME, *(() if rig is None else (SHOT_NAME,)))
+
+
+def _read_held_out(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ref_px, src_px = (
+        np.asarray(points, dtype=np.float64)
+        for points in read_npz(path, ("held_out_ref_px", "held_out_src_px"), most_bytes=_MOST_BYTES_OF_MATCHES)
+    )
+    if ref_px.shape != src_px.shape or ref_px.ndim != 2 or ref_px.shape[1] != 2:
+        raise ValueError("matches are two times N points")
+    if not (np.isfinite(ref_px).all() and np.isfinite(src_px).all()):
+        raise ValueError("matches that are no numbers")
+    return ref_px, src_px
 
 
 def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:

@@ -21,8 +21,8 @@ from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
-from telewide.errors import UsageError
-from telewide.files import fingerprint, write_text
+from telewide.errors import TelewideError, UsageError
+from telewide.files import fingerprint, read_json, write_text
 from telewide.training.options import WEIGHTS_NAME
 
 FORMAT = 1
@@ -131,12 +131,12 @@ def write_run_record(
 
 def _read_record(path: Path) -> dict[str, object]:
     """Return the record so far; a broken one is started anew, since a finished run must not fail on its diary."""
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except (OSError, ValueError) as error:
-        _log.warning("%s cannot be read (%s) and is written anew", path, error)
+    try:
+        record = read_json(path)
+    except TelewideError as error:
+        _log.warning("%s; it is written anew", error.message)
         return {}
     return record if isinstance(record, dict) else {}
 

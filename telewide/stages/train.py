@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -22,10 +23,10 @@ import torch
 from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
-from telewide.files import write_text
+from telewide.files import read_json, write_text
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
-from telewide.matching.window import Window
+from telewide.matching.window import Window, check_stated_window
 from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
 from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe, differing_keys
@@ -45,6 +46,7 @@ from telewide.training.checkpoint import (
     save_state,
 )
 from telewide.training.judge import network_judge
+from telewide.training.log import read_log
 from telewide.training.loop import Reporter, Training
 from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
@@ -200,16 +202,23 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
         InputError: the file is damaged.
     """
     path = run.training_record
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        first, end = content["window"]
-        captures, held_out = tuple(content["captures"]), tuple(content["held_out"])
-        judged = tuple(content.get("judged", held_out or captures))
-        return TrainingRecord(content["recipe"], (first, end), captures, held_out, judged)
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    try:
+        content = cast(dict[str, Any], read_json(path))
+        first, end = content["window"]
+        check_stated_window((first, end))
+        captures, held_out = _names(content["captures"]), _names(content["held_out"])
+        judged = _names(content.get("judged", held_out or captures))
+        return TrainingRecord({**content["recipe"]}, (first, end), captures, held_out, judged)
+    except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path} is damaged", hint="start over with --fresh") from error
+
+
+def _names(plain: Sequence[object]) -> tuple[str, ...]:
+    if not all(isinstance(name, str) for name in plain):
+        raise TypeError("names are texts")
+    return tuple(map(str, plain))
 
 
 def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe) -> TrainingRecord:
@@ -251,7 +260,7 @@ def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
 def _state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingState:
     path = run.train / STATE_NAME
     if path.is_file():
-        return load_state(path, network_name=recipe.network, device=device)
+        return load_state(path, network_name=recipe.network, device=device, plan=plan_stages(recipe.train))
     return new_state(recipe.network, seed=recipe.seed, device=device)
 
 
@@ -346,22 +355,9 @@ def _write_record(run: RunFolder, record: TrainingRecord) -> None:
 
 def _drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
     """Forget the lines of steps that a resumed training takes again."""
-    if not path.is_file():
-        return
-    kept = [
-        line
-        for line in path.read_text(encoding="utf-8").splitlines()
-        if (entry := _parsed(line)) and (entry.get("stage_index", 0), entry.get("step", 0)) <= (stage_index, step)
-    ]
-    write_text(path, "".join(f"{line}\n" for line in kept))
-
-
-def _parsed(line: str) -> dict[str, int]:
-    try:
-        entry = json.loads(line)
-    except ValueError:  # cut off in the middle of a line
-        return {}
-    return entry if isinstance(entry, dict) else {}
+    if path.is_file():
+        kept = [line.text for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
+        write_text(path, "".join(f"{line}\n" for line in kept))
 
 
 @dataclass

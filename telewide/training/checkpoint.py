@@ -12,20 +12,21 @@ from __future__ import annotations
 import copy
 import io
 import json
-import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
-from telewide.errors import InputError
-from telewide.files import replacing
+from telewide.errors import InputError, UsageError
+from telewide.files import parse_json, replacing
 from telewide.matching.networks import StereoNetwork, build_network
-from telewide.matching.window import Window
+from telewide.matching.window import Window, check_stated_window
+from telewide.training.stages import Stage
 
 FORMAT = "1"
 STATE_NAME = "state.pt"
@@ -111,31 +112,86 @@ def save_state(state: TrainingState, path: Path) -> None:
         temporary.write_bytes(buffer.getbuffer())
 
 
-def load_state(path: Path, *, network_name: str, device: torch.device) -> TrainingState:
+def load_state(
+    path: Path, *, network_name: str, device: torch.device, plan: Sequence[Stage] | None = None
+) -> TrainingState:
     """Read a checkpoint.
 
+    Args:
+        path: the file.
+        network_name: of the network that is trained.
+        device: to put its tensors on.
+        plan: the stages of the training, which the checkpoint must have a place in; None leaves that open.
+
     Raises:
-        InputError: the file is damaged, or of another network.
+        InputError: the file is damaged, of another network, or of another plan.
     """
     state = new_state(network_name, seed=0, device=device)
     try:
         content = torch.load(path, map_location=device, weights_only=True)
         state.network.load_state_dict(content["network"])
         state.average.load_state_dict(content["average"])
-        state.optimiser.load_state_dict(content["optimiser"])
+        _take_moments(state, content["optimiser"]["state"])
         if content["teacher"] is not None:
             state.teacher = frozen_extractor(state.network)
             state.teacher.load_state_dict(content["teacher"])
-        if content["best"] is not None:
-            state.best = BestWeights(**content["best"])
-        for name in ("stage_index", "step", "judgements", "stage_judgements", "is_finished", "best_stage"):
-            setattr(state, name, content[name])
-    except (RuntimeError, KeyError, TypeError, ValueError, EOFError, pickle.UnpicklingError) as error:
+        for name in ("stage_index", "step", "best_stage"):
+            setattr(state, name, _count(content[name]))
+        for name in ("judgements", "stage_judgements"):
+            setattr(state, name, [_figure(value) for value in content[name]])
+        state.is_finished = content["is_finished"] is True
+        state.best = None if content["best"] is None else _best_weights(state, content["best"])
+        if plan is not None:
+            _check_place(state, plan)
+    except Exception as error:  # torch and pickle fail on damaged files in a dozen ways
         raise InputError(
-            f"{path} is not a checkpoint of a {network_name} training, or is damaged",
+            f"{path} is not a checkpoint of this {network_name} training, or is damaged",
             hint="start over with --fresh, or name another run folder with --out",
         ) from error
     return state
+
+
+def _take_moments(state: TrainingState, moments: Mapping[int, Mapping[str, Tensor]]) -> None:
+    """Take Adam's moments; its rates are the loop's."""
+    parameters = list(state.network.parameters())
+    for index, kept in moments.items():
+        if any(kept[name].shape != parameters[index].shape for name in ("exp_avg", "exp_avg_sq")):
+            raise ValueError(f"the moments of parameter {index} are of another size")
+        _count(int(kept["step"]))
+    groups = state.optimiser.state_dict()["param_groups"]
+    state.optimiser.load_state_dict({"state": moments, "param_groups": groups})
+
+
+def _best_weights(state: TrainingState, plain: Mapping[str, object]) -> BestWeights:
+    best = BestWeights(_count(plain["step"]), _figure(plain["judgement"]), cast(dict[str, Tensor], plain["weights"]))
+    sizes = {name: value.shape for name, value in state.average.state_dict().items()}
+    if {name: value.shape for name, value in best.weights.items()} != sizes:
+        raise ValueError("the best weights are of another network")
+    return best
+
+
+def _check_place(state: TrainingState, plan: Sequence[Stage]) -> None:
+    """Refuse a place in the plan that no training comes to."""
+    stage = plan[state.stage_index]
+    n_judged = state.stage_index + state.is_finished
+    if state.step > stage.options.steps or len(state.judgements) > state.step + 1:
+        raise ValueError("more steps or judgements than the stage has")
+    if len(state.stage_judgements) != n_judged or state.best_stage >= max(1, n_judged):
+        raise ValueError("the finished stages do not go with the stage under way")
+    if state.step and not state.is_finished and stage.needs_teacher and state.teacher is None:
+        raise ValueError("the extractor of the stage before is missing")
+
+
+def _count(value: object) -> int:
+    if type(value) is not int or value < 0:
+        raise TypeError(f"{value!r} is no number of steps")
+    return value
+
+
+def _figure(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{value!r} is no figure")
+    return float(value)
 
 
 def frozen_extractor(network: StereoNetwork) -> nn.Module:
@@ -185,7 +241,9 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
     try:
         network = build_network(card.network)
         network.load_state_dict(load_file(path))
-    except (OSError, SafetensorError, ValueError, RuntimeError) as error:
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in network.state_dict().values()):
+            raise ValueError("weights that are no numbers")
+    except (OSError, SafetensorError, ValueError, RuntimeError, UsageError) as error:
         raise _no_weights(path) from error
     return network.to(device).eval(), card
 
@@ -199,11 +257,18 @@ def read_card(path: Path) -> WeightsCard:
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
-        first, end = json.loads(metadata["window"])
-        recipe, training = json.loads(metadata["recipe"]), json.loads(metadata["training"])
-        return WeightsCard(metadata["network"], (int(first), int(end)), recipe, training)
+        first, end = (_whole(number) for number in cast(list[object], parse_json(metadata["window"])))
+        check_stated_window((first, end))
+        recipe, training = (cast(dict[str, object], parse_json(metadata[name])) for name in ("recipe", "training"))
+        return WeightsCard(metadata["network"], (first, end), {**recipe}, {**training})
     except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
         raise _no_weights(path) from error
+
+
+def _whole(value: object) -> int:
+    if type(value) is not int:
+        raise TypeError(f"{value!r} is no whole number")
+    return value
 
 
 def _no_weights(path: Path) -> InputError:

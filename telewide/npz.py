@@ -1,0 +1,68 @@
+"""A safe reader of ``.npz`` files: a small one may claim arrays of many gigabytes."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.errors import InputError
+from telewide.files import open_regular
+
+MOST_BYTES = 1 << 30
+"""Of all arrays that are read together: 12 maps of a photo that is read whole."""
+_DAMAGES = (
+    *(zipfile.BadZipFile, zlib.error, struct.error, KeyError, ValueError, EOFError, OSError, SyntaxError),
+    *(NotImplementedError, RuntimeError, TypeError, OverflowError),
+)
+
+
+def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) -> tuple[NDArray[np.generic], ...]:
+    """Read arrays of numbers; what they claim to hold is checked before any is.
+
+    Args:
+        path: the file.
+        names: of the arrays.
+        most_bytes: of all of them together.
+
+    Returns:
+        The arrays in the order of the names.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is damaged, lacks one of them, holds objects, or claims more than it may.
+    """
+    try:
+        with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
+            entries = [archive.getinfo(f"{name}.npy") for name in names]
+            claimed = sum(entry.file_size for entry in entries)
+            if claimed > most_bytes:
+                raise ValueError(f"it claims to hold {claimed} bytes; at most {most_bytes} were expected")
+            return tuple(_read_array(archive.open(entry), entry.file_size) for entry in entries)
+    except _DAMAGES as error:
+        raise InputError(f"{path} is damaged: {error}") from error
+
+
+def _read_array(stream: IO[bytes], n_bytes: int) -> NDArray[np.generic]:
+    with stream:
+        version = np.lib.format.read_magic(stream)
+        if version == (1, 0):
+            shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+        elif version == (2, 0):
+            shape, is_fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+        else:
+            raise ValueError(f"an array of version {version}")
+        expected = math.prod(shape) * dtype.itemsize
+        if dtype.hasobject or min(shape, default=1) < 0 or expected > n_bytes:
+            raise ValueError(f"an array of {shape} {dtype} in {n_bytes} bytes")
+        data = stream.read(expected)
+    return np.frombuffer(bytearray(data), dtype=dtype, count=math.prod(shape)).reshape(
+        shape, order="F" if is_fortran else "C"
+    )
