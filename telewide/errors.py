@@ -6,6 +6,11 @@ Exit codes: 0 done, 1 our own fault, 2 usage, 3 bad input, 4 quality gate, 5 mis
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_OUT_OF_MEMORY = ("Insufficient memory", "can't allocate memory", "CUDA out of memory")
+
 
 class TelewideError(Exception):
     """A failure a person can act on.
@@ -45,6 +50,25 @@ class MissingPartError(TelewideError):
     """An optional part (an extra, a device) is not installed."""
 
     exit_code = 5
+
+
+@contextmanager
+def within_memory(what: str) -> Iterator[None]:
+    """Let a lack of memory be a problem of what is being computed, such as one capture of many.
+
+    Args:
+        what: the message begins with it.
+
+    Raises:
+        InputError: the body asked for more memory than there is.
+    """
+    try:
+        yield
+    except Exception as error:
+        # OpenCV and torch say so in words of their own.
+        if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
+            raise InputError(f"{what} takes more memory than there is", hint="use smaller photos") from error
+        raise
 
 
 def extra_hint(extra: str) -> str:

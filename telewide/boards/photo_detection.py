@@ -18,7 +18,7 @@ from telewide.boards.board import Board
 from telewide.boards.detection import BoardView, detect_board
 from telewide.capture.images import read_image
 from telewide.cores import usable_cores
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, UsageError, within_memory
 
 MAX_PROCESSES = 8
 """Each holds a photo of some 100 to 500 MB."""
@@ -94,7 +94,8 @@ def _detect_in_processes(paths: Sequence[Path], board: Board, n_processes: int) 
 
 def _detect_photo(path: Path, board: Board) -> PhotoResult:
     try:
-        view = detect_board(read_grey(path), board=board)
+        with within_memory(str(path)):
+            view = detect_board(read_grey(path), board=board)
     except (InputError, UsageError) as error:
         return PhotoResult(None, error.message)
     return PhotoResult(view, None if view is not None else f"no board found in {path}")

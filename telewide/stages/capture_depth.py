@@ -26,7 +26,7 @@ from telewide.depth.precision import DepthPrecision
 from telewide.depth.precision_notes import hardly_known_notes, pinned_shot
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, UsageError, within_memory
 from telewide.files import fingerprint
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
@@ -126,7 +126,8 @@ def depth_of_capture(
     try:
         lying = made = read_kept(folder, key)
         if made is None:
-            computed = _compute(source, held_out, facts=facts, match=match, bokeh=bokeh, shot=shot)
+            with within_memory("its depth"):
+                computed = _compute(source, held_out, facts=facts, match=match, bokeh=bokeh, shot=shot)
             (folder / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
             made = _write(folder, computed)
             write_kept(folder, made, key=key)
@@ -169,7 +170,15 @@ def _compute(
     else:
         result, metric_notes = _result_of_shot(source.name, working, photo, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
-    numbers |= _errors_of_truth(source, result.disparity.disparity_px)
+    truth_px = read_truth(source, hw=photo.shape[:2])
+    if truth_px is not None and not np.isfinite(truth_px).any():
+        metric_notes = (
+            *metric_notes,
+            f"{source.name}: {source.truth_path} knows no disparity, so nothing is judged by it",
+        )
+    elif truth_px is not None:
+        numbers["3PE"] = three_pixel_error(result.disparity.disparity_px, truth_px)
+        numbers["EPE_px"] = end_point_error_px(result.disparity.disparity_px, truth_px)
     picture, note = None, None
     if bokeh is not None:
         picture, note, focused = _blurred(photo, result, bokeh)
@@ -230,16 +239,6 @@ def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
     maps = {"focus_m": result.depth_m, "focus_std_m": result.depth_std_m}
     metres = {name: float(m[focus.y_px, focus.x_px]) for name, m in maps.items() if m is not None}
     return numbers | {name: value for name, value in metres.items() if math.isfinite(value)}
-
-
-def _errors_of_truth(source: Capture, disparity_px: FloatMap) -> dict[str, float]:
-    truth_px = read_truth(source, hw=(disparity_px.shape[0], disparity_px.shape[1]))
-    if truth_px is None:
-        return {}
-    return {
-        "3PE": three_pixel_error(disparity_px, truth_px),
-        "EPE_px": end_point_error_px(disparity_px, truth_px),
-    }
 
 
 def on_photo(working: DisparityMap, photo: FloatMap) -> DisparityMap:

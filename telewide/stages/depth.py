@@ -95,10 +95,10 @@ def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
     path = locate_run(run, captures_root).training_record
     if not path.is_file():
         return load_recipe(DEFAULT_RECIPE)
-    record = read_json(path)
-    if not isinstance(record, dict) or "recipe" not in record:
+    content = read_json(path)
+    if not isinstance(content, dict) or "recipe" not in content:
         raise InputError(f"{path} is damaged", hint="train again with --fresh")
-    return parse_options(Recipe, record["recipe"], source=str(path), error=InputError)
+    return parse_options(Recipe, content["recipe"], source=str(path), error=InputError)
 
 
 def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:

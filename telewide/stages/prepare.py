@@ -35,7 +35,7 @@ from telewide.correction.verdict import (
     correct_pair,
     inspect_pair,
 )
-from telewide.errors import InputError, TelewideError, UsageError
+from telewide.errors import InputError, TelewideError, UsageError, within_memory
 from telewide.files import fingerprint, read_json, read_regular, replacing, write_text
 from telewide.matching.window import Window
 from telewide.npz import read_npz
@@ -120,7 +120,8 @@ def prepare_captures(
     problems = list(captures.problems)
     for capture in captures.captures:
         try:
-            prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig)
+            with within_memory("this pair"):
+                prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig)
         except (InputError, UsageError) as error:
             problems.append(Problem(capture.name, f"{error.message}; {error.hint}" if error.hint else error.message))
             prepared = None

@@ -243,7 +243,9 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
         network.load_state_dict(load_file(path))
         if not all(bool(torch.isfinite(tensor).all()) for tensor in network.state_dict().values()):
             raise ValueError("weights that are no numbers")
-    except (OSError, SafetensorError, ValueError, RuntimeError, UsageError) as error:
+    except UsageError as error:
+        raise InputError(f"{path}: {error.message}", hint=error.hint) from error
+    except (OSError, SafetensorError, ValueError, RuntimeError) as error:
         raise _no_weights(path) from error
     return network.to(device).eval(), card
 

@@ -14,7 +14,7 @@ from telewide.cli import main
 from telewide.depth.export import write_depth
 from telewide.depth.result import DepthResult
 from telewide.geometry.stereo import DisparityMap
-from telewide.pages.run_page import next_steps, report_row
+from telewide.pages.run_page import next_steps, report_row, training_curves
 from telewide.recipe import Recipe, load_recipe
 from telewide.stages.run_folder import RunFolder
 
@@ -66,3 +66,23 @@ def test_all_pictures_of_a_capture_stand_alike(
     pair = PhotoPair("one", photo, photo)
     row = report_row(pair, tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=rotated_deg)
     assert [picture.wh for picture in row.pictures] == [wh] * 4
+
+
+def test_a_depth_that_cannot_be_read_leaves_its_picture_out_and_is_said(
+    tmp_path: Path, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
+) -> None:
+    photo = rng.uniform(size=(60, 80, 3)).astype(np.float32)
+    (tmp_path / "depth.npz").write_bytes(b"garbage")
+    row = report_row(PhotoPair("one", photo, photo), tmp_path, root=tmp_path, numbers={})
+    assert [picture.label for picture in row.pictures] == ["wide", "tele"]
+    assert "depth.npz is damaged" in caplog.text
+
+
+def test_curves_are_drawn_of_what_can_be_read(tmp_path: Path) -> None:
+    lines = [f'{{"stage": "a", "stage_index": 0, "step": {step}, "losses": {{"x": {0.1 * step}}}}}' for step in (1, 2)]
+    lines.append('{"stage": "b", "stage_index": 1, "step": 1, "judgement": {"off_1px": 0.5}}')
+    (tmp_path / "log.jsonl").write_text("\n".join([*lines, "[]", '{"stage": "b", "ste']))
+    losses, judged = training_curves(tmp_path / "log.jsonl")
+    np.testing.assert_allclose(losses.values, [0.1, 0.2])
+    np.testing.assert_allclose([*judged.steps, *judged.values], [3.0, 50.0])
+    assert training_curves(tmp_path / "none") == ()

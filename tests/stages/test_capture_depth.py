@@ -11,7 +11,7 @@ from PIL import Image, ImageOps
 from rig_worlds import phone_rig
 
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
-from telewide.capture.images import read_image, write_image
+from telewide.capture.images import read_image, write_image, write_pfm
 from telewide.capture.pair import Capture, CaptureFacts
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
@@ -128,3 +128,40 @@ def test_confidence_and_validity_stay_with_their_disparity(width: int, rng: np.r
     column = np.rint(on.disparity_px * (HW[1] / width) * 100).astype(int)
     np.testing.assert_array_equal(np.rint(on.confidence * 100).astype(int), column)
     np.testing.assert_array_equal(on.valid, column % 2 == 0)
+
+
+def test_a_truth_that_knows_nothing_is_said_and_judges_nothing(capture: Capture, tmp_path: Path) -> None:
+    truth_path = tmp_path / "truth.pfm"
+    write_pfm(truth_path, np.full(HW, np.nan, np.float32))
+    silent = dataclasses.replace(capture, truth_path=truth_path)
+    outcome = depth_of_capture(
+        silent,
+        HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
+        tmp_path / "a",
+        facts=FACTS,
+        match=stepped,
+        bokeh=None,
+        key={},
+    )
+    assert isinstance(outcome, DepthOutcome)
+    assert "3PE" not in outcome.numbers
+    assert any("truth.pfm knows no disparity" in note for note in outcome.notes)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
+def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path: Path, error: Exception) -> None:
+    def greedy(ref: np.ndarray, src: np.ndarray) -> DisparityMap:
+        raise error
+
+    outcome = depth_of_capture(
+        capture,
+        HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
+        tmp_path,
+        facts=FACTS,
+        match=greedy,
+        bokeh=None,
+        key={},
+    )
+    assert isinstance(outcome, DepthFailure)
+    assert "more memory than there is" in outcome.problem.message
+    assert not (tmp_path / "depth.npz").exists()

@@ -152,3 +152,41 @@ def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: P
     stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=False))
     with pytest.raises(InputError, match="states that the captures are not rectified"):
         refuse_without_rig(stated, rig=None)
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after"),
+    [
+        ("pair.json", "", "[" * 100_000),
+        ("pair.json", '"n_matches": ', '"n_matches": 1e400, "m": '),
+        ("pair.json", '"n_matches": ', '"n_matches": "many", "m": '),
+        ("pair.json", '"verdict": ', '"verdict": [], "v": '),
+        ("pair.json", '"colour_ratio": [', '"colour_ratio": [[], '),
+        ("pair.json", '"scale": ', '"scale": [], "s": '),
+        ("matches.npz", "", "garbage"),
+        ("tele.png", "", "garbage"),
+    ],
+)
+def test_a_pair_that_cannot_be_read_is_made_again(
+    captures: Path, tmp_path: Path, name: str, before: str, after: str
+) -> None:
+    made = prepared(captures, tmp_path / "run").pairs[0]
+    path = made.capture.tele_path.with_name(name)
+    whole = path.read_bytes()
+    assert before.encode() in whole
+    path.write_bytes(whole.replace(before.encode(), after.encode()) if before else after.encode())
+    again = prepared(captures, tmp_path / "run").pairs[0]
+    assert again.report == made.report
+    assert path.read_bytes() == whole
+
+
+def test_labels_that_cannot_be_read_are_made_again(captures: Path, tmp_path: Path) -> None:
+    pairs = prepared(captures, tmp_path / "run")
+    name, folder = pairs.pairs[0].capture.name, pairs.pairs[0].capture.tele_path.parent
+    write_labels(pairs, names=[name], window=(0, 32))
+    path = labels_path(folder, window_px=(0, 32))
+    whole = path.read_bytes()
+    for damaged in (b"garbage", whole[:-4], b"Pf\n1 1\n-1\n\0\0\0\0"):
+        path.write_bytes(damaged)
+        write_labels(pairs, names=[name], window=(0, 32))
+        assert path.read_bytes() == whole

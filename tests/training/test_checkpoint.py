@@ -22,9 +22,12 @@ from telewide.training.checkpoint import (
     load_state,
     load_weights,
     new_state,
+    read_card,
     save_state,
     save_weights,
 )
+from telewide.training.options import StageOptions, TrainOptions
+from telewide.training.stages import plan_stages
 
 CARD = WeightsCard(
     "lite", WINDOW, {"network": "lite", "seed": 3}, {"stage": "rehearsal", "step": 7, "clipped_px": [0.2]}
@@ -161,3 +164,73 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path) -> None:
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert load_state(tmp_path / "state.pt", network_name="lite", device=CPU).step == state.step - 1
     load_weights(tmp_path / "w.safetensors", device=CPU)
+
+
+PLAN = plan_stages(
+    TrainOptions(
+        rehearsal=StageOptions(steps=50, rehearsed=1),
+        photometric=StageOptions(steps=50, captured=1),
+        feature=StageOptions(steps=50, captured=1, captured_loss="feature"),
+        stages=2,
+    )
+)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """What `a_state` leaves on disk, as plain data."""
+    path = tmp_path_factory.mktemp("state") / "state.pt"
+    save_state(a_state(), path)
+    return dict(torch.load(path, weights_only=True))
+
+
+def test_a_state_has_a_place_in_its_plan(tmp_path: Path) -> None:
+    save_state(a_state(), tmp_path / "state.pt")
+    assert load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN).step == 41
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *[("stage_index", 77), ("stage_index", -1), ("stage_index", "2"), ("stage_index", True)],
+        *[("step", 51), ("step", -1), ("step", 1.5), ("best_stage", 2), ("best_stage", None)],
+        *[("judgements", 3), ("judgements", ["a"]), ("judgements", [0.5] * 60), ("stage_judgements", [0.5])],
+        *[("optimiser", 3), ("optimiser", {"state": {0: 3}}), ("optimiser", {"state": {10**6: {}}})],
+        *[("best", 3), ("best", {"step": 1, "judgement": 0.5, "weights": {}}), ("teacher", None), ("teacher", 3)],
+    ],
+)
+def test_a_state_that_no_training_comes_to_is_refused(
+    tmp_path: Path, saved: dict[str, object], key: str, value: object
+) -> None:
+    path = tmp_path / "state.pt"
+    torch.save({**saved, key: value}, path)
+    with pytest.raises(InputError, match="not a checkpoint of this lite training") as raised:
+        load_state(path, network_name="lite", device=CPU, plan=PLAN)
+    assert "--fresh" in str(raised.value.hint)
+
+
+@pytest.mark.parametrize("content", [b"K\x01.", b"\x80\x02N.", b"N.", b"...."])
+def test_four_bytes_of_pickle_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "state.pt").write_bytes(content)
+    with pytest.raises(InputError, match=r"state\.pt"):
+        load_state(tmp_path / "state.pt", network_name="lite", device=CPU)
+
+
+@pytest.mark.parametrize(
+    "window", ["[0, 4000000]", "[1, 6]", "[0, Infinity]", "[8, 0]", "[0, 4.0]", "[0]", "{}", "[" * 100_000, '["0", 4]']
+)
+def test_a_window_no_pair_needs_is_refused(tmp_path: Path, window: str) -> None:
+    path = tmp_path / "w.safetensors"
+    metadata = {"format": "1", "network": "lite", "window": window, "recipe": "{}", "training": "{}"}
+    save_file({"x": torch.zeros(3)}, path, metadata=metadata)
+    with pytest.raises(InputError, match="no weights file of telewide"):
+        read_card(path)
+
+
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
+    network = build_network("lite")
+    with torch.no_grad():
+        next(network.parameters())[0] = float("nan")
+    save_weights(network, tmp_path / "w.safetensors", card=CARD)
+    with pytest.raises(InputError, match="no weights file of telewide"):
+        load_weights(tmp_path / "w.safetensors", device=CPU)
