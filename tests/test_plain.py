@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from telewide.json_text import json_text
 
 from telewide.files import parse_json
 from telewide.plain import from_plain
+from telewide.text import json_text
 
 
 @dataclass(frozen=True)
