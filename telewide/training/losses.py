@@ -126,6 +126,19 @@ def supervised_loss(disparity_px_BHW: Tensor, truth_px_BHW: Tensor) -> Term:
     return _masked(difference, known)
 
 
+def state_loss(logits_BHW: Tensor, is_so_BHW: Tensor, *, known_BHW: Tensor) -> Term:
+    """Cross-entropy of a yes or no at each pixel.
+
+    Args:
+        logits_BHW: (B, H, W).
+        is_so_BHW: (B, H, W) bool, the truth.
+        known_BHW: (B, H, W) bool, where it is known.
+    """
+    logits = at_least_float32(logits_BHW)
+    difference = functional.binary_cross_entropy_with_logits(logits, is_so_BHW.to(logits.dtype), reduction="none")
+    return _masked(difference, known_BHW)
+
+
 def distribution_loss(logits_BDHW: Tensor, truth_px_BHW: Tensor, *, window: Window) -> Term:
     """Cross-entropy between a volume and the true disparities inside each of its cells.
 

@@ -23,6 +23,7 @@ from telewide.training.losses import (
     feature_metric_loss,
     photometric_loss,
     smoothness_loss,
+    state_loss,
     supervised_loss,
     visible_mask,
 )
@@ -30,6 +31,11 @@ from telewide.training.stages import Stage
 
 COARSE_WEIGHT = 0.4
 """Weight of each disparity before the last, as in networks with several outputs."""
+COARSE_WEIGHT_OF_ALL = 0.8
+"""Weight that they share at most."""
+SURE_PX = 1.0
+"""Error below which a network should be sure of a pixel."""
+HEAD_WEIGHT = 0.15
 
 
 @dataclass(frozen=True)
@@ -41,17 +47,22 @@ class Batch:
         src_BCHW: (B, 3, H, W) in [0, 1].
         truth_px_BHW: (B, H, W), NaN where unknown.
         n_rehearsed: how many of the first crops are rendered; the others are real.
+        occluded_BHW: (B, H, W) bool, hidden from src; None where nobody knows.
+        window: disparities to search in these crops, px; None for the training's.
     """
 
     ref_BCHW: Tensor
     src_BCHW: Tensor
     truth_px_BHW: Tensor
     n_rehearsed: int
+    occluded_BHW: Tensor | None = None
+    window: Window | None = None
 
     def to(self, device: torch.device) -> Batch:
         """Move the tensors."""
         ref, src, truth_px = (t.to(device) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
-        return Batch(ref, src, truth_px, self.n_rehearsed)
+        occluded = None if self.occluded_BHW is None else self.occluded_BHW.to(device)
+        return Batch(ref, src, truth_px, self.n_rehearsed, occluded, self.window)
 
 
 Reduce = Callable[[Tensor], Tensor]
@@ -107,7 +118,21 @@ def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window:
             (name, weight * factor, supervised_loss(disparity_px[part], truth_px))
             for disparity_px, factor in _weighted_outputs(output)
         ]
-    return terms
+    return terms + _head_terms(output, batch, window)
+
+
+def _head_terms(output: NetworkOutput, batch: Batch, window: Window) -> Weighted:
+    """What a network says of its own result, where the crops say whether it is so."""
+    if output.heads_BCHW is None or batch.occluded_BHW is None:
+        return []
+    truth_px = batch.truth_px_BHW
+    known = (truth_px >= window[0]) & (truth_px < window[1])
+    is_sure = (output.disparity_px.detach() - truth_px).abs() < SURE_PX
+    sure, hidden = output.heads_BCHW.unbind(dim=1)
+    return [
+        ("sure", HEAD_WEIGHT, state_loss(sure, is_sure, known_BHW=known)),
+        ("hidden", HEAD_WEIGHT, state_loss(hidden, batch.occluded_BHW, known_BHW=known)),
+    ]
 
 
 def _captured_terms(
@@ -152,7 +177,8 @@ def _through_extractor(
 
 def _weighted_outputs(output: NetworkOutput) -> list[tuple[Tensor, float]]:
     *coarse, last = output.disparities_px
-    return [*((disparity_px, COARSE_WEIGHT) for disparity_px in coarse), (last, 1.0)]
+    weight = min(COARSE_WEIGHT, COARSE_WEIGHT_OF_ALL / max(1, len(coarse)))
+    return [*((disparity_px, weight) for disparity_px in coarse), (last, 1.0)]
 
 
 def _enlarge(mask_Bhw: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ from telewide.matching.networks import NetworkOutput, build_network, standardise
 from telewide.matching.volume import plane_disparities_px
 from telewide.training.checkpoint import frozen_extractor
 from telewide.training.objective import Batch, objective
+from telewide.training.options import StageOptions
 from telewide.training.stages import Stage
 
 FloatArray = NDArray[np.float64]
@@ -371,3 +372,34 @@ def test_what_src_does_not_show_is_left_out(kind: str, has_masks: bool) -> None:
     columns, rows = (94 - 7, 62) if kind == "photometric" else (22 - 1, 14)
     hidden = (16 if kind == "photometric" else 4) if has_masks else 0
     assert float(counts[0][0]) == rows * (columns - hidden)
+
+
+def test_heads_are_taught_what_is_sure_and_what_is_hidden() -> None:
+    truth_px = torch.full((1, 8, 8), 4.0)
+    disparity_px = truth_px.clone()
+    disparity_px[:, :, 4:] += 1.5
+    occluded = torch.zeros(1, 8, 8, dtype=torch.bool)
+    occluded[:, :2] = True
+    right = torch.where(torch.stack(((disparity_px - truth_px) < 1, occluded), dim=1), 8.0, -8.0)
+    losses = [_head_losses(heads, disparity_px, truth_px, occluded) for heads in (right, -right, right.flip(1))]
+    assert max(losses[0].values()) < 1e-3
+    assert min(losses[1].values()) > 1
+    assert min(losses[2].values()) > 0.2
+
+
+def test_what_the_window_does_not_hold_teaches_the_heads_nothing() -> None:
+    truth_px = torch.full((1, 8, 8), 99.0)
+    heads = torch.full((1, 2, 8, 8), 5.0)
+    losses = _head_losses(heads, truth_px, truth_px, torch.zeros(1, 8, 8, dtype=torch.bool))
+    assert set(losses.values()) == {0.0}
+
+
+def _head_losses(
+    heads_BCHW: torch.Tensor, disparity_px: torch.Tensor, truth_px: torch.Tensor, occluded: torch.Tensor
+) -> dict[str, float]:
+    image = torch.zeros(1, 3, 8, 8)
+    output = NetworkOutput([disparity_px], torch.zeros(1, 4, 2, 2), heads_BCHW)
+    batch = Batch(image, image, truth_px, 1, occluded)
+    stage = Stage("rehearsal", 0, StageOptions(steps=1, rehearsed=1))
+    _, parts = objective(output, batch, stage, window=(0, 16), teacher=None, global_sum=lambda x: x)
+    return {name: parts[name] for name in ("sure", "hidden")}

@@ -7,7 +7,10 @@ import torch
 
 from telewide.matching.sampling import warp_to_ref
 from telewide.training import world_samples
-from telewide.training.world_samples import WorldBatch, WorldSamples
+from telewide.training.objective import Batch
+from telewide.training.options import StageOptions
+from telewide.training.stages import Stage
+from telewide.training.world_samples import WorldBatches, WorldSource
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -15,29 +18,38 @@ def _few_small_worlds() -> None:
     """Nothing here depends on how large a world is or how long it is kept."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(world_samples, "KEPT_WORLDS", 3)
+        patch.setattr(world_samples, "STRIDE", 1)
         patch.setattr(world_samples, "WORLD_HW", (112, 192))
         patch.setattr(world_samples, "PALETTE_SIZE", 12)
         yield
 
 
-def samples() -> WorldSamples:
-    return WorldSamples(seed=3, crop_hw=(96, 128), crops=3)
+def dataset(*, rank: int = 0, world: int = 1) -> WorldBatches:
+    stage = Stage("rehearsal", 0, StageOptions(steps=10, rehearsed=3))
+    return WorldBatches(WorldSource(seed=3, crop_hw=(96, 128)), stage, rank=rank, world=world)
 
 
 @pytest.fixture(scope="module")
-def batches() -> list[WorldBatch]:
-    stream = samples()
-    return [stream.batch(step) for step in range(6)]
+def batches() -> list[Batch]:
+    stream = dataset()
+    return [stream[step] for step in range(6)]
 
 
-def test_a_step_taken_up_later_is_the_same_step(batches: list[WorldBatch]) -> None:
-    resumed = samples().batch(4)
+def test_a_step_taken_up_later_is_the_same_step(batches: list[Batch]) -> None:
+    resumed = dataset()[4]
     for name in ("ref_BCHW", "src_BCHW", "truth_px_BHW", "occluded_BHW"):
         assert torch.equal(getattr(resumed, name), getattr(batches[4], name))
     assert resumed.window == batches[4].window
 
 
-def test_crops_are_pictures_with_their_truth(batches: list[WorldBatch]) -> None:
+def test_two_processes_make_the_crops_of_one(batches: list[Batch]) -> None:
+    shares = [dataset(rank=rank, world=2)[2] for rank in range(2)]
+    assert [share.n_rehearsed for share in shares] == [2, 1]
+    assert torch.equal(shares[0].ref_BCHW, batches[2].ref_BCHW[::2])
+    assert torch.equal(shares[1].truth_px_BHW, batches[2].truth_px_BHW[1::2])
+
+
+def test_crops_are_pictures_with_their_truth(batches: list[Batch]) -> None:
     for batch in batches:
         assert batch.ref_BCHW.shape == batch.src_BCHW.shape == (3, 3, 96, 128)
         assert batch.truth_px_BHW.shape == batch.occluded_BHW.shape == (3, 96, 128)
@@ -45,7 +57,7 @@ def test_crops_are_pictures_with_their_truth(batches: list[WorldBatch]) -> None:
         assert float(batch.ref_BCHW.max()) <= 1
 
 
-def test_most_of_the_truth_lies_in_the_window(batches: list[WorldBatch]) -> None:
+def test_most_of_the_truth_lies_in_the_window(batches: list[Batch]) -> None:
     shares = [
         ((batch.truth_px_BHW >= batch.window[0]) & (batch.truth_px_BHW < batch.window[1])).float().mean()
         for batch in batches
@@ -53,7 +65,7 @@ def test_most_of_the_truth_lies_in_the_window(batches: list[WorldBatch]) -> None
     assert float(torch.stack(shares).mean()) > 0.75
 
 
-def test_the_truth_warps_src_onto_ref_better_than_a_wrong_one(batches: list[WorldBatch]) -> None:
+def test_the_truth_warps_src_onto_ref_better_than_a_wrong_one(batches: list[Batch]) -> None:
     better = 0
     for batch in batches:
         seen = ~batch.occluded_BHW
@@ -62,7 +74,7 @@ def test_the_truth_warps_src_onto_ref_better_than_a_wrong_one(batches: list[Worl
     assert better >= 0.8 * 3 * len(batches)
 
 
-def _difference(batch: WorldBatch, offset_px: float, seen: torch.Tensor) -> torch.Tensor:
+def _difference(batch: Batch, offset_px: float, seen: torch.Tensor) -> torch.Tensor:
     """(B,) mean difference of the views' structure, free of gain and offset."""
     warped = warp_to_ref(batch.src_BCHW, batch.truth_px_BHW + offset_px).mean(dim=1)
     ref = batch.ref_BCHW.mean(dim=1)
