@@ -41,7 +41,7 @@ class InputError(TelewideError):
 
 
 class QualityError(TelewideError):
-    """The result was written, marked as not good enough."""
+    """The result was written, marked as not good enough; or by what was measured there can be none."""
 
     exit_code = 4
 

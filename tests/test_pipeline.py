@@ -257,7 +257,7 @@ class TestNothingIsDoneTwice:
 
     def test_a_damaged_or_foreign_record_is_made_again(self, tmp_path: Path) -> None:
         kept = KeptDepth(("disparity.pfm",), ("a note",), {"matches": 7.0, "off_1px": float("nan")})
-        (tmp_path / "disparity.pfm").touch()
+        (tmp_path / "disparity.pfm").write_bytes(b"whole")
         key: Mapping[str, object] = {"matcher": "sgm", "window": (0, 32)}
         assert read_kept(tmp_path, key) is None
         write_kept(tmp_path, kept, key=key)
@@ -266,6 +266,8 @@ class TestNothingIsDoneTwice:
         assert (back.files, back.notes, back.numbers["matches"]) == (kept.files, kept.notes, 7.0)
         assert np.isnan(back.numbers["off_1px"])
         assert read_kept(tmp_path, {**key, "window": (0, 64)}) is None
+        (tmp_path / "disparity.pfm").write_bytes(b"cut")
+        assert read_kept(tmp_path, key) is None
         for text in ("", "[]", "{}", '{"format": 1, "key": {}, "files": 3}'):
             (tmp_path / "depth.json").write_text(text)
             assert read_kept(tmp_path, key) is None

@@ -173,7 +173,9 @@ def read_depths(place: Path, done: DepthRun, *, rig: StereoRig) -> MeasuredDepth
     parts = []
     for outcome in done.outcomes:
         with np.load(done.folder / outcome.name / "depth.npz", allow_pickle=False) as depth:
-            depth_m, std_m = np.where(depth["valid"], depth["depth_m"], np.nan), depth["depth_std_m"]
+            none = np.full(depth["valid"].shape, np.nan)  # a capture whose metres would mean nothing has none
+            depth_m, std_m = depth.get("depth_m", none), depth.get("depth_std_m", none)
+            depth_m = np.where(depth["valid"], depth_m, np.nan)
         truth_m = gain / read_pfm(place / "captures" / outcome.name / "truth.pfm")
         is_seen = read_image(place / "truth" / "hidden" / f"{outcome.name}.png")[..., 0] < 0.5
         parts.append(np.stack([truth_m, depth_m, std_m])[:, is_seen])

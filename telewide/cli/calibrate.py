@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
-from telewide.cli.console import console_observer, print_json
+from telewide.cli.console import console_observer, hand_over
 from telewide.errors import QualityError, UsageError
 from telewide.text import command_line
 
@@ -184,16 +184,7 @@ def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, again:
             f"{answer['rig']} was written, and marked as not good enough to compute depth with",
             hint=f"{advice} {again}",
         )
-    if not as_json:
-        if failure is not None:
-            raise failure
-        return
-    if failure is not None:
-        answer = {**answer, "error": failure.message, "hint": failure.hint, "exit_code": failure.exit_code}
-        typer.echo(f"error: {failure.message}\n  {failure.hint}", err=True)
-    print_json(answer)
-    if failure is not None:
-        raise typer.Exit(failure.exit_code)
+    hand_over(answer, failure=failure, as_json=as_json)
 
 
 def _json_of(stored: StoredRig, notes: Sequence[str]) -> dict[str, object]:

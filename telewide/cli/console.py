@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from telewide.errors import QualityError
 from telewide.text import json_text
 from telewide.training.processes import this_process
 
@@ -75,6 +76,29 @@ def bar(label: str, *, total: int | None = None, is_quiet: bool = False) -> Iter
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
         yield Bar(progress, progress.add_task(label, total=total))
+
+
+def hand_over(answer: dict[str, object], *, failure: QualityError | None, as_json: bool) -> None:
+    """Answer in JSON where asked, and leave with the code of a result that is not good enough.
+
+    Args:
+        answer: plain data.
+        failure: what is wrong with the result, which was written; None where nothing is.
+        as_json: whether the answer is printed.
+
+    Raises:
+        QualityError: the failure, where no JSON was asked for.
+        typer.Exit: likewise, where the JSON says it.
+    """
+    if failure is None:
+        if as_json:
+            print_json(answer)
+        return
+    if not as_json:
+        raise failure
+    typer.echo(f"error: {failure.message}\n  {failure.hint}", err=True)
+    print_json({**answer, "error": failure.message, "hint": failure.hint, "exit_code": failure.exit_code})
+    raise typer.Exit(failure.exit_code)
 
 
 def print_json(content: dict[str, object]) -> None:

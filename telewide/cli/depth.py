@@ -20,8 +20,8 @@ from telewide.cli.arguments import (
     StrengthOption,
     check_device,
 )
-from telewide.cli.console import console_observer, print_json
-from telewide.errors import UsageError
+from telewide.cli.console import console_observer, hand_over
+from telewide.errors import QualityError, UsageError
 from telewide.text import counted
 
 if TYPE_CHECKING:
@@ -77,8 +77,7 @@ def depth(
         recipe = recipe_of_depth(run, captures, weights=weights)
         done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
         say_depth(done, observer)
-    if as_json:
-        print_json(depth_as_json(done))
+    hand_over(depth_as_json(done), failure=why_not_good(done), as_json=as_json)
 
 
 def depth_options(
@@ -156,6 +155,18 @@ def say_depth(done: DepthRun, observer: ConsoleObserver) -> None:
         observer.said(f"each with: {', '.join(names)}")
 
 
+def why_not_good(done: DepthRun) -> QualityError | None:
+    """Tell what is wrong with results of which none has what its rig promises; None where one has."""
+    withheld = [outcome.withheld for outcome in done.outcomes if outcome.withheld is not None]
+    if not withheld or len(withheld) < len(done.outcomes):
+        return None
+    return QualityError(
+        f"disparity was written to {done.folder}, but no depth in metres: it would mean nothing",
+        hint="measure the distance of one point in each photo and name it with --distance X,Y,M; or calibrate from "
+        "photos of a board",
+    )
+
+
 def depth_as_json(done: DepthRun) -> dict[str, object]:
     """Return what was written as plain data, for ``--json``."""
     return {
@@ -166,6 +177,7 @@ def depth_as_json(done: DepthRun) -> dict[str, object]:
                 "files": [str(path) for path in outcome.paths],
                 "notes": list(outcome.notes),
                 "numbers": dict(outcome.numbers),
+                "withheld": outcome.withheld,
             }
             for outcome in done.outcomes
         ],

@@ -21,8 +21,8 @@ from telewide.cli.arguments import (
     SetOption,
     StrengthOption,
 )
-from telewide.cli.console import console_observer, print_json
-from telewide.cli.depth import bokeh_options, depth_as_json, depth_options, say_depth
+from telewide.cli.console import console_observer, hand_over
+from telewide.cli.depth import bokeh_options, depth_as_json, depth_options, say_depth, why_not_good
 
 RUN_EPILOG = "Example: `telewide run examples/captures --recipe quick`"
 
@@ -61,5 +61,5 @@ def run_everything(
         done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
         say_depth(done, observer)
         observer.said(f"report: {done.report}")
-    if as_json:
-        print_json({**depth_as_json(done), "report": str(done.report)})
+    answer = {**depth_as_json(done), "report": str(done.report)}
+    hand_over(answer, failure=why_not_good(done), as_json=as_json)

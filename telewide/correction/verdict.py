@@ -247,8 +247,13 @@ def _findings_of_rows(
         findings = _findings_of_overlap(overlap, height=height)
     misfit_px = vertical.largest_misfit_px
     if not findings and misfit_px > _ROW_MISFIT_DOUBTFUL_SHARE * height:
+        # A slope may have been drawn out to the corners from few matches: they themselves must be off.
+        is_evidence = vertical.n > MIN_EVIDENCE_MATCHES and vertical.residual_before_px > _ROW_MISFIT_USABLE_PX
+        told = f"rows disagree by up to {misfit_px:.1f} px"
         findings.append(
-            _Finding("doubtful", f"rows disagree by up to {misfit_px:.1f} px: the pair does not look rectified")
+            _Finding("refused", f"{told}, as {vertical.n} matches show: the pair is not rectified")
+            if is_evidence
+            else _Finding("doubtful", f"{told}: the pair does not look rectified")
         )
     elif not findings and misfit_px > _ROW_MISFIT_USABLE_PX:
         findings.append(_Finding("usable", f"rows disagree by up to {misfit_px:.1f} px, which is corrected"))

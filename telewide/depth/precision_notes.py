@@ -14,6 +14,8 @@ from telewide.geometry.stereo import FloatMap
 
 HARDLY_KNOWN_SHARE = 0.5
 """A depth whose standard deviation is a larger share of it is hardly known."""
+MEANINGLESS_SHARE = 1.0
+"""A depth whose standard deviation is a larger share of it means nothing."""
 
 
 @dataclass(frozen=True)
@@ -78,15 +80,41 @@ def pinned_shot(
 
 def hardly_known_notes(result: DepthResult) -> tuple[str, ...]:
     """Say where most of a capture's depths are hardly known, and what would help; empty where they are known."""
-    if result.depth_m is None or result.depth_std_m is None:
-        return ()
-    share = (result.depth_std_m / result.depth_m)[np.isfinite(result.depth_m)]
-    if not len(share) or not float(np.median(share)) > HARDLY_KNOWN_SHARE:
+    share = _typical_std_share(result)
+    if share is None or not share > HARDLY_KNOWN_SHARE:
         return ()
     return (
-        f"{result.name}: its depth in metres is hardly known: one standard deviation is {np.median(share):.0%} of the "
+        f"{result.name}: its depth in metres is hardly known: one standard deviation is {share:.0%} of the "
         "depth (median); a measured point (--distance X,Y,M) or a rig from photos of a board would tell more",
     )
+
+
+def without_meaningless_metres(result: DepthResult) -> tuple[DepthResult, str | None]:
+    """Take metres away that mean nothing: those of which one standard deviation is more than the depth itself.
+
+    Args:
+        result: of a shot with a rig.
+
+    Returns:
+        The result, without metres where most of them mean nothing; and what to say of that, None where they stay.
+    """
+    share = _typical_std_share(result)
+    if share is None or share <= MEANINGLESS_SHARE:
+        return result, None
+    told = (
+        f"{result.name}: no depth in metres: the rig and this shot leave it so unsure that one standard deviation is "
+        "more than the depth itself; disparity and bokeh are as good as ever. A measured point (--distance X,Y,M) or a "
+        "rig from photos of a board gives metres"
+    )
+    return replace(result, depth_m=None, depth_std_m=None), told
+
+
+def _typical_std_share(result: DepthResult) -> float | None:
+    """Median of the standard deviation over the depth; None without metres."""
+    if result.depth_m is None or result.depth_std_m is None:
+        return None
+    is_known = np.isfinite(result.depth_m)
+    return float(np.median(result.depth_std_m[is_known] / result.depth_m[is_known])) if is_known.any() else None
 
 
 def away_words(depth_m: float, std_m: float | None) -> str:
@@ -110,6 +138,8 @@ def _rig_words(
         baseline_m=geometry.rig.baseline_m,
         precision=precision,
     )
+    if float(std_m[0, 0]) > MEANINGLESS_SHARE * distance_m:
+        return "that it does not know"
     return _metres(distance_m, float(std_m[0, 0]))
 
 

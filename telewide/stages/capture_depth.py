@@ -23,7 +23,7 @@ from telewide.depth.edges import follow_edges
 from telewide.depth.export import write_depth
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
-from telewide.depth.precision_notes import hardly_known_notes, pinned_shot
+from telewide.depth.precision_notes import hardly_known_notes, pinned_shot, without_meaningless_metres
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError, within_memory
@@ -64,6 +64,7 @@ class DepthOutcome:
         notes: what was left out, and why; what the bokeh is focused on.
         numbers: seconds, focus, shares of held-out matches missed, errors against a truth where the set has one.
         is_kept: whether all of it lay there, made from the same.
+        withheld: what is not among the files because it would mean nothing, and why; None where all is there.
     """
 
     name: str
@@ -71,6 +72,7 @@ class DepthOutcome:
     notes: tuple[str, ...]
     numbers: Mapping[str, float]
     is_kept: bool = False
+    withheld: str | None = None
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ def depth_of_capture(
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
     paths = tuple(folder / name for name in made.files)
-    return DepthOutcome(source.name, paths, made.notes, made.numbers, is_kept=lying is not None)
+    return DepthOutcome(source.name, paths, made.notes, made.numbers, is_kept=lying is not None, withheld=made.withheld)
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,7 @@ class _Computed:
     picture: FloatMap | None
     bokeh_note: str | None
     numbers: Mapping[str, float]
+    withheld: str | None = None
 
 
 def _compute(
@@ -167,8 +170,9 @@ def _compute(
     if shot is None:
         result = depth_result(source.name, on_photo(working, photo), facts=facts)
         metric_notes: tuple[str, ...] = ()
+        withheld = None
     else:
-        result, metric_notes = _result_of_shot(source.name, working, photo, shot=shot)
+        result, metric_notes, withheld = _result_of_shot(source.name, working, photo, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     truth_px = read_truth(source, hw=photo.shape[:2])
     if truth_px is not None and not np.isfinite(truth_px).any():
@@ -184,7 +188,7 @@ def _compute(
         picture, note, focused = _blurred(photo, result, bokeh)
         numbers |= focused
     numbers["total_s"] = time.monotonic() - begun_s
-    return _Computed(photo, result, metric_notes, picture, note, numbers)
+    return _Computed(photo, result, metric_notes, picture, note, numbers, withheld)
 
 
 def _blurred(
@@ -213,13 +217,17 @@ def _write(folder: Path, computed: _Computed) -> KeptDepth:
         names.append(bokeh_path.name)
     elif computed.bokeh_note is not None or before != fingerprint(disparity_path):
         bokeh_path.unlink(missing_ok=True)  # of another blur, or of another depth
-    return KeptDepth(tuple(names), notes, computed.numbers)
+    return KeptDepth(tuple(names), notes, computed.numbers, computed.withheld)
 
 
 def _result_of_shot(
     name: str, working: DisparityMap, photo: FloatMap, *, shot: ShotGeometry
-) -> tuple[DepthResult, tuple[str, ...]]:
-    """Bring a map of the rectified view to the tele photo as it was taken, and into metres; what to know of those."""
+) -> tuple[DepthResult, tuple[str, ...], str | None]:
+    """Bring a map of the rectified view to the tele photo as it was taken, and into metres.
+
+    Returns:
+        The result, what to know of its metres, and why it has none where they would mean nothing.
+    """
     pinned = pinned_shot(name, working.disparity_px, shot.known, geometry=shot.geometry, precision=shot.precision)
     geometry = pinned.geometry
     on_tele = disparity_on_tele(working, geometry=geometry)
@@ -230,7 +238,9 @@ def _result_of_shot(
     result = depth_result_of_rig(
         name, disparity, rig=geometry.rig, precision=pinned.precision, matched_scale=geometry.scale
     )
-    return result, (*pinned.notes, *hardly_known_notes(result))
+    result, withheld = without_meaningless_metres(result)
+    doubts = hardly_known_notes(result) if withheld is None else (withheld,)
+    return result, (*pinned.notes, *doubts), withheld
 
 
 def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:

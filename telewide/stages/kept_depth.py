@@ -12,7 +12,7 @@ from typing import Any, cast
 from telewide.errors import TelewideError
 from telewide.files import read_json, write_text
 
-FORMAT = 3
+FORMAT = 4
 KEPT_NAME = "depth.json"
 
 
@@ -24,11 +24,13 @@ class KeptDepth:
         files: names of the files in its folder.
         notes: what was left out, and why.
         numbers: what was measured; NaN where it could not be.
+        withheld: what is not among the files because it would mean nothing, and why; None where all is there.
     """
 
     files: tuple[str, ...]
     notes: tuple[str, ...]
     numbers: Mapping[str, float]
+    withheld: str | None = None
 
 
 def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
@@ -49,7 +51,9 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
         numbers = {name: math.nan if value is None else float(value) for name, value in content["numbers"].items()}
         sizes = {str(name): int(n_bytes) for name, n_bytes in content["files_bytes"].items()}
         are_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in sizes.items())
-        return KeptDepth(tuple(sizes), tuple(map(str, content["notes"])), numbers) if are_whole else None
+        withheld = None if content["withheld"] is None else str(content["withheld"])
+        kept = KeptDepth(tuple(sizes), tuple(map(str, content["notes"])), numbers, withheld)
+        return kept if are_whole else None
     except (TelewideError, ValueError, KeyError, TypeError, AttributeError):  # damaged: it is made again
         return None
 
@@ -69,5 +73,12 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object]) -> N
     """
     numbers = {name: value if math.isfinite(value) else None for name, value in kept.numbers.items()}
     sizes = {name: (folder / name).stat().st_size for name in kept.files}
-    content = {"format": FORMAT, "key": key, "files_bytes": sizes, "notes": kept.notes, "numbers": numbers}
+    content = {
+        "format": FORMAT,
+        "key": key,
+        "files_bytes": sizes,
+        "notes": kept.notes,
+        "numbers": numbers,
+        "withheld": kept.withheld,
+    }
     write_text(folder / KEPT_NAME, json.dumps(content, indent=2) + "\n")

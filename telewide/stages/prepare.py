@@ -35,7 +35,7 @@ from telewide.correction.verdict import (
     correct_pair,
     inspect_pair,
 )
-from telewide.errors import InputError, TelewideError, UsageError, within_memory
+from telewide.errors import InputError, QualityError, TelewideError, UsageError, within_memory
 from telewide.files import fingerprint, read_json, read_regular, replacing, write_text
 from telewide.matching.window import Window
 from telewide.npz import read_npz
@@ -79,6 +79,7 @@ def prepare(call: Call) -> PreparedSet:
 
     Raises:
         InputError: none can be used.
+        QualityError: none can be used, and all because of what was measured on them.
     """
     captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
     if call.rig is not None and call.rig.quality.verdict == "insufficient":
@@ -89,7 +90,8 @@ def prepare(call: Call) -> PreparedSet:
         prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
     else:
         mine = replace(captures, captures=call.processes.share(captures.captures))
-        with suppress(InputError):  # an empty share, or none of it fit for use, which is said of all together
+        # An empty share, or none of it fit for use, which is said of all together.
+        with suppress(InputError, QualityError):
             prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
         call.processes.wait()
         prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
@@ -114,9 +116,11 @@ def prepare_captures(
 
     Raises:
         InputError: none can be used.
+        QualityError: none can be used, and all because of what was measured on them.
     """
     captures = with_checked_lenses(captures)
     pairs: list[PreparedPair] = []
+    n_refused = 0
     problems = list(captures.problems)
     for capture in captures.captures:
         try:
@@ -127,6 +131,7 @@ def prepare_captures(
             prepared = None
         if prepared is not None and prepared.report.verdict == "refused":
             problems.append(Problem(capture.name, "; ".join(prepared.report.reasons)))
+            n_refused += 1
         elif prepared is not None:
             pairs.append(prepared)
             problems += _what_is_cut_off(prepared.report, recipe.window_px)
@@ -137,7 +142,9 @@ def prepare_captures(
         hint = "mend the captures named above"
         if rig is None and not captures.facts.rectified:
             hint += f"; photos as they were taken need a rig, {how_to_calibrate(captures.root)}"
-        raise InputError(f"{captures.root}: no capture can be used{lines}", hint=hint)
+        is_measured = 0 < n_refused == sum(problem.is_skipped for problem in problems)
+        kind = QualityError if is_measured else InputError
+        raise kind(f"{captures.root}: no capture can be used{lines}", hint=hint)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
 
 

@@ -103,6 +103,18 @@ def test_rows_far_apart_are_refused_with_the_distance(pair: RectifiedPair, shift
     assert float(words[words.index("rows") + 1]) == pytest.approx(-shift_px, abs=4)
 
 
+@pytest.mark.parametrize(("share", "is_refused"), [(0.02, True), (0.008, False)])
+def test_rows_that_disagree_are_no_rectified_pair_as_soon_as_many_matches_show_it(
+    pair: RectifiedPair, share: float, *, is_refused: bool
+) -> None:
+    """Beyond 1.5 % of the height; up to there the rows are corrected."""
+    shift_px = round(share * pair.wide.shape[0])
+    report = inspect_pair(dataclasses.replace(pair, wide=np.roll(pair.wide, -shift_px, axis=0)), facts=FACTS)
+    assert report.n_matches > 30
+    assert (report.verdict == "refused") == is_refused
+    assert any("rows disagree by up to" in reason for reason in report.reasons) == is_refused
+
+
 def test_a_turned_view_is_refused(pair: RectifiedPair) -> None:
     report = inspect_pair(dataclasses.replace(pair, wide=pair.wide[::-1, ::-1].copy()), facts=SILENT)
     assert report.verdict == "refused"

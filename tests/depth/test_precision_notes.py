@@ -11,7 +11,7 @@ from rig_worlds import phone_rig
 
 from telewide.depth.pin import KnownDistance, focused_at, pin_distance
 from telewide.depth.precision import DepthPrecision
-from telewide.depth.precision_notes import hardly_known_notes, pinned_shot
+from telewide.depth.precision_notes import hardly_known_notes, pinned_shot, without_meaningless_metres
 from telewide.depth.result import DepthResult
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap
@@ -74,3 +74,24 @@ def test_depth_that_is_hardly_known_says_so_and_what_helps(share: float, n_notes
     assert len(notes) == n_notes
     assert all(words in note for note in notes for words in ("000", "64%", "--distance", "board"))
     assert hardly_known_notes(replace(result, depth_std_m=None)) == ()
+
+
+@pytest.mark.parametrize(("share", "is_kept"), [(0.9, True), (1.1, False), (216.56, False)])
+def test_metres_that_mean_nothing_are_taken_away_and_no_absurd_figure_is_told(share: float, *, is_kept: bool) -> None:
+    depth_m = np.full((3, 4), 2.0, np.float32)
+    disparity = DisparityMap(1 / depth_m, np.ones_like(depth_m), np.ones_like(depth_m, dtype=np.bool_))
+    result = DepthResult("000", disparity, depth_m=depth_m, depth_std_m=np.float32(share) * depth_m)
+    left, told = without_meaningless_metres(result)
+    assert (left.depth_m is not None) == (left.depth_std_m is not None) == is_kept
+    assert left.disparity is disparity
+    assert (told is None) == is_kept
+    if told is not None:
+        assert "no depth in metres" in told
+        assert "%" not in told
+        assert "--distance" in told
+
+
+def test_a_rig_that_does_not_know_a_distance_does_not_state_one() -> None:
+    near_zero_px = np.full(GEOMETRY.hw, -GEOMETRY.doffs_px + 0.5, np.float32)
+    (note,) = pinned_shot("000", near_zero_px, KNOWN, geometry=GEOMETRY, precision=DepthPrecision(0, 0, SHIFT_PX)).notes
+    assert "the rig alone said that it does not know" in note

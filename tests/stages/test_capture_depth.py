@@ -82,7 +82,7 @@ def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Cap
     seen_px = np.full(geometry.hw, 5.0, np.float32)
     seen = DisparityMap(seen_px, np.ones_like(seen_px), seen_px > 0)
 
-    def notes(known: KnownDistance | None) -> str:
+    def outcome_of(known: KnownDistance | None, *, shift_px: float = 2.2) -> DepthOutcome:
         outcome = depth_of_capture(
             capture,
             HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
@@ -90,11 +90,16 @@ def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Cap
             facts=CaptureFacts(),
             match=lambda _ref, _src: seen,
             bokeh=BokehOptions(focus="40,30"),
-            key={"known": known is not None},
-            shot=ShotGeometry(geometry, DepthPrecision(lens_shift_std_px=4.0), known=known),
+            key={"known": known is not None, "shift_px": shift_px},
+            shot=ShotGeometry(geometry, DepthPrecision(lens_shift_std_px=shift_px), known=known),
         )
         assert isinstance(outcome, DepthOutcome)
+        return outcome
+
+    def notes(known: KnownDistance | None) -> str:
+        outcome = outcome_of(known)
         assert outcome.numbers["focus_std_m"] > 0
+        assert outcome.withheld is None
         return "\n".join(outcome.notes)
 
     unsure = notes(None)
@@ -104,6 +109,25 @@ def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Cap
     assert "taken to be 0.79 m away" in pinned
     assert ", 0.79 ± 0.0" in pinned
     assert "hardly" not in pinned
+    for is_kept in (False, True):  # made, and taken as it lies
+        nothing = outcome_of(None, shift_px=40.0)
+        assert nothing.is_kept == is_kept
+        assert nothing.withheld is not None
+        assert nothing.withheld in nothing.notes
+        assert "focus_m" not in nothing.numbers
+        with np.load(tmp_path / "depth.npz") as arrays:
+            assert "disparity" in arrays
+            assert not {"depth_m", "depth_std_m"} & set(arrays)
+
+
+def test_a_result_that_was_cut_off_is_made_again(capture: Capture, tmp_path: Path) -> None:
+    whole = {path: path.read_bytes() for path in made(capture, tmp_path, bokeh=BokehOptions()).paths}
+    assert made(capture, tmp_path, bokeh=BokehOptions()).is_kept
+    for path in whole:
+        path.write_bytes(whole[path][:-20])
+        again = made(capture, tmp_path, bokeh=BokehOptions())
+        assert not again.is_kept
+        assert path.stat().st_size == len(whole[path])
 
 
 def test_what_fails_leaves_earlier_results_alone(capture: Capture, tmp_path: Path) -> None:

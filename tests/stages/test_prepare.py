@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import telewide.stages.prepare
-from telewide.capture.images import read_image, read_pfm
+from telewide.capture.images import read_image, read_pfm, write_image
 from telewide.capture.pair import find_captures
-from telewide.errors import InputError
+from telewide.errors import InputError, QualityError
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.labels import write_labels
@@ -104,6 +105,21 @@ def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) 
     narrow_px, wide_px = (read_pfm(labels_path(folder, window_px=(0, end_px))) for end_px in (8, 32))
     assert np.nanmax(narrow_px) <= 8
     assert np.nanmax(wide_px) > 10
+
+
+def test_pairs_whose_rows_disagree_are_refused_by_what_was_measured(captures: Path, tmp_path: Path) -> None:
+    """None left is no bad input but a matter of quality; beside a good pair it is a problem like another."""
+    shutil.copytree(captures, tmp_path / "captures")
+    for number, name in enumerate(("000", "001")):
+        path = tmp_path / "captures" / name / "wide.png"
+        write_image(path, np.roll(read_image(path), 2, axis=0))  # of 64 rows
+        if number == 0:
+            some = prepared(tmp_path / "captures", tmp_path / "run")
+            assert [pair.source.name for pair in some.pairs] == ["001"]
+            assert ["rows disagree" in problem.message for problem in some.problems] == [True]
+    with pytest.raises(QualityError, match="rows disagree by up to") as caught:
+        prepared(tmp_path / "captures", tmp_path / "run")
+    assert caught.value.exit_code == 4
 
 
 def test_a_photo_that_cannot_be_read_leaves_the_others(captures: Path, tmp_path: Path) -> None:

@@ -1,0 +1,45 @@
+"""What ``telewide depth`` leaves with where its metres mean nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+
+from telewide.cli.console import hand_over
+from telewide.cli.depth import depth_as_json, why_not_good
+from telewide.errors import QualityError
+from telewide.stages.capture_depth import DepthOutcome
+from telewide.stages.depth import DepthRun
+
+
+def run_of(*withheld: str | None) -> DepthRun:
+    outcomes = (DepthOutcome(f"{k:03d}", (), (), {}, withheld=why) for k, why in enumerate(withheld))
+    return DepthRun(Path("run/depth"), tuple(outcomes), ())
+
+
+def test_results_are_good_as_long_as_one_capture_has_what_its_rig_promises() -> None:
+    assert why_not_good(run_of(None, None)) is None
+    assert why_not_good(run_of("no metres", None)) is None
+    failure = why_not_good(run_of("no metres", "no metres"))
+    assert failure is not None
+    assert failure.exit_code == 4
+    assert "run/depth" in failure.message
+    assert "--distance" in str(failure.hint)
+
+
+def test_json_says_what_the_exit_code_means(capsys: pytest.CaptureFixture[str]) -> None:
+    done = run_of("no metres")
+    failure = why_not_good(done)
+    with pytest.raises(QualityError):
+        hand_over(depth_as_json(done), failure=failure, as_json=False)
+    with pytest.raises(typer.Exit) as left:
+        hand_over(depth_as_json(done), failure=failure, as_json=True)
+    assert left.value.exit_code == 4
+    told = json.loads(capsys.readouterr().out)
+    assert told["exit_code"] == 4
+    assert told["captures"][0]["withheld"] == "no metres"
+    hand_over(depth_as_json(run_of(None)), failure=None, as_json=True)
+    assert "exit_code" not in json.loads(capsys.readouterr().out)
