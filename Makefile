@@ -1,13 +1,18 @@
-# make setup | demo | test | test-slow | mutants | lint | bench        (each sets up .venv first, once)
+# make setup | demo | test | test-slow | test-minima | mutants | lint | bench        (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-# make bench RUNS="run other/run" measures their networks too; TELEWIDE_DATA is where the data sets lie.
+# The lowest versions that pyproject.toml allows.
+MINIMA := .venv-minima
+# make bench RUNS="run other/run" measures their networks too. Two of its four tables need data sets, which you fetch:
+#   $(DATA)/middlebury_2006_third/<scene>/{view1,view5,disp1,disp5}.png   vision.middlebury.edu/stereo/data/scenes2006,
+#                                                                      the 21 scenes of a third of the size
+#   $(DATA)/p30/                                                       captures of a phone, in any layout of the README
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo test test-slow mutants lint bench clean
+.PHONY: setup demo test test-slow test-minima mutants lint bench clean
 
 setup: $(STAMP)
 
@@ -27,6 +32,16 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 
+# Old releases warn of what newer ones of others have deprecated: only here are warnings no errors.
+test-minima: $(MINIMA)/.installed
+	$(MINIMA)/bin/python -m pytest -m "not slow" -o filterwarnings= $(PYTEST_ARGS)
+
+$(MINIMA)/.installed: pyproject.toml constraints.txt .ci/minima
+	test -x $(MINIMA)/bin/python || $(PYTHON) -m venv $(MINIMA)
+	$(PYTHON) .ci/minima > $(MINIMA)/minima.txt
+	$(MINIMA)/bin/python -m pip install --quiet --constraint $(MINIMA)/minima.txt --editable '.[dev]'
+	touch $@
+
 # Bugs planted one at a time: do the tests catch them? make mutants BUGS="training bokeh" plants some lists only.
 mutants: $(STAMP)
 	$(BIN)/python tests/mutants/run.py $(BUGS)
@@ -37,12 +52,13 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/telewide benchmark speed
+	$(BIN)/telewide benchmark metres $(RUN_FLAGS)
 	@if test -d "$(DATA)/middlebury_2006_third"; \
 	then $(BIN)/telewide benchmark middlebury "$(DATA)/middlebury_2006_third" --split test $(RUN_FLAGS); \
-	else echo "no Middlebury 2006 scenes in $(DATA): set TELEWIDE_DATA" >&2; fi
+	else echo "left out: no Middlebury 2006 scenes at $(DATA)/middlebury_2006_third; see the head of the Makefile" >&2; fi
 	@if test -d "$(DATA)/p30"; \
 	then $(BIN)/telewide benchmark matches "$(DATA)/p30" --uncorrected $(RUN_FLAGS); \
-	else echo "no phone pairs in $(DATA): set TELEWIDE_DATA" >&2; fi
+	else echo "left out: no captures at $(DATA)/p30; see the head of the Makefile" >&2; fi
 
 clean:
 	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache
