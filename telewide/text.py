@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 def counted(number: int, noun: str) -> str:
@@ -43,14 +44,51 @@ def command_line(*words: object, **options: object) -> str:
 
     Args:
         words: subcommand and arguments.
-        options: ``run=folder`` gives ``--run folder``, ``bokeh=True`` gives ``--bokeh``; None and False give nothing.
+        options: ``run=folder`` gives ``--run folder``, ``bokeh=True`` gives ``--bokeh``, a sequence gives its option
+            once for each value; None and False give nothing.
 
     Returns:
         One line.
     """
     said = ["telewide", *(str(word) for word in words)]
     for name, value in options.items():
-        if value is not None and value is not False:
-            flag = f"--{name.replace('_', '-')}"
-            said += [flag] if value is True else [flag, str(value)]
+        flag = f"--{name.replace('_', '-')}"
+        for one in value if isinstance(value, list | tuple) else (value,):
+            if one is not None and one is not False:
+                said += [flag] if one is True else [flag, str(one)]
     return shlex.join(said)
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call that was made; the calls that are advised after it keep what it stated.
+
+    Attributes:
+        command: its subcommand.
+        words: its arguments.
+        options: what was stated, by the names of the options (``f_number`` for ``--f-number``).
+    """
+
+    command: str
+    words: tuple[object, ...] = ()
+    options: Mapping[str, object] = field(default_factory=dict)
+
+    def again(self, **changes: object) -> str:
+        """Write the same call with other options; None leaves one out."""
+        return command_line(self.command, *self.words, **{**self.options, **changes})
+
+    def instead(self, command: str, *words: object, **changes: object) -> str:
+        """Write a call of train, depth or run on the same captures, in the same run folder, with the same rig.
+
+        Args:
+            command: its subcommand.
+            words: its arguments; those of this call where there are none.
+            changes: options besides, or in the place of those that both have; None leaves one out.
+        """
+        run_option = "run" if command == "depth" else "out"
+        mine = "run" if self.command == "depth" else "out"
+        shared = {run_option: self.options.get(mine), "rig": self.options.get("rig")}
+        if "depth" not in (command, self.command):
+            shared |= {name: self.options.get(name) for name in ("recipe", "set", "seed")}
+        shared["device"] = self.options.get("device")
+        return command_line(command, *(words or self.words), **{**shared, **changes})

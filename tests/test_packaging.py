@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -84,7 +86,22 @@ def test_sdist_holds_what_the_wheel_needs(built: Path) -> None:
     with tarfile.open(next(built.glob("*.tar.gz"))) as archive:
         tops = {Path(name).parts[1] for name in archive.getnames() if len(Path(name).parts) > 1}
     assert {"telewide", "calib", "pipelines", "pyproject.toml", "README.md", "LICENSE"} <= tops
-    assert "tests" not in tops
+
+
+def test_sdist_holds_what_its_readme_speaks_of(built: Path, repo: Path) -> None:
+    """Every link of README and docs, what `make` needs, and the photos of the demo."""
+    with tarfile.open(next(built.glob("*.tar.gz"))) as archive:
+        names = {Path(*Path(name).parts[1:]).as_posix() for name in archive.getnames()}
+    pages = [repo / "README.md", repo / "CONTRIBUTING.md", *(repo / "docs").glob("*.md")]
+    linked = {
+        ((page.parent / link.partition("#")[0]).resolve()).relative_to(repo.resolve()).as_posix()
+        for page in pages
+        for link in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8"))
+    }
+    needed = {"Makefile", "constraints.txt", "tests/conftest.py", "examples/phone/boards/000/tele.jpg"}
+    folders = {parent.as_posix() for name in names for parent in Path(name).parents}
+    assert (linked | needed) - names - folders == set()
+    assert next(built.glob("*.tar.gz")).stat().st_size < 15_000_000
 
 
 def test_fresh_environment_runs_it(fresh_bin: Path, repo: Path, tmp_path: Path) -> None:
@@ -105,3 +122,21 @@ def test_fresh_environment_finds_the_shipped_data(fresh_bin: Path, tmp_path: Pat
     found = [line.split(maxsplit=2) for line in run(fresh_bin / "python", "-c", script, cwd=tmp_path).splitlines()]
     assert sorted(f"{kind}/{name}.yaml" for kind, name, _ in found) == sorted(n for n in tracked if n.endswith(".yaml"))
     assert all(Path(path).is_relative_to(fresh_bin.parent) for _, _, path in found)
+
+
+def test_lower_bounds_are_constraints_that_pip_reads(repo: Path) -> None:
+    """`make test-minima` runs the quick tests with these versions."""
+    printed = run(sys.executable, repo / ".ci/minima", cwd=repo).splitlines()
+    project = tomllib.loads((repo / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = [re.split(r"[>=<]", requirement)[0] for requirement in project["dependencies"]]
+    assert [line.partition("==")[0] for line in printed] == names
+    assert all(re.fullmatch(r"[\w.-]+==[0-9][\w.]*", line) for line in printed)
+
+
+def test_constraints_name_every_package_of_the_extras(repo: Path) -> None:
+    """README installs the extras with these versions too."""
+    project = tomllib.loads((repo / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = [*project["dependencies"], *(line for extra in project["optional-dependencies"].values() for line in extra)]
+    held = {line.partition("==")[0].lower() for line in (repo / "constraints.txt").read_text().splitlines()}
+    assert {re.split(r"[>=<\[]", requirement)[0].lower() for requirement in asked} - held == set()
+    assert "setuptools" in held  # torch asks for it

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telewide.text import command_line, counted, json_text
+from telewide.text import Call, command_line, counted, json_text
 
 
 def test_one_is_singular_and_no_other_number_is() -> None:
@@ -41,3 +41,25 @@ def test_a_shell_reads_what_was_meant() -> None:
     written = command_line("depth", Path("it's mine/*"), run=Path("my run"), bokeh=True, rig=None, fresh=False)
     assert shlex.split(written) == ["telewide", "depth", "it's mine/*", "--run", "my run", "--bokeh"]
     assert command_line("calibrate", square_m=0.0243, from_scenes=True).endswith("--square-m 0.0243 --from-scenes")
+    repeated = command_line("train", set=["a.b=1", "c=x y"], run=None)
+    assert shlex.split(repeated) == ["telewide", "train", "--set", "a.b=1", "--set", "c=x y"]
+
+
+def test_a_call_that_is_advised_keeps_what_was_stated() -> None:
+    run = Call(
+        "run", ("my captures",), {"out": "run B", "rig": "phone B.yaml", "seed": 3, "recipe": "quick", "set": ["a=1"]}
+    )
+    stated = "--out 'run B' --rig 'phone B.yaml' --seed 4 --recipe quick --set a=1"
+    assert run.again(seed=4) == f"telewide run 'my captures' {stated}"
+    assert run.again(recipe=None).count("--recipe") == 0
+    train = run.instead("train", fresh=True)
+    stated = "--out 'run B' --rig 'phone B.yaml' --recipe quick --set a=1 --seed 3"
+    assert train == f"telewide train 'my captures' {stated} --fresh"
+    assert run.instead("depth") == "telewide depth 'my captures' --run 'run B' --rig 'phone B.yaml'"
+    assert run.instead("depth", "my captures/one", rig=None) == "telewide depth 'my captures/one' --run 'run B'"
+
+
+def test_results_of_depth_are_no_run_folder() -> None:
+    depth = Call("depth", ("captures",), {"run": "mine", "out": "results", "focus": "near", "device": "cpu"})
+    assert depth.instead("train") == "telewide train captures --out mine --device cpu"
+    assert depth.instead("depth", method="sgm") == "telewide depth captures --run mine --device cpu --method sgm"

@@ -25,7 +25,7 @@ from telewide.options import parse_options
 
 RIG_FILE = Path("rig.yaml")
 _ANOTHER_RIG = (
-    "make it anew: telewide calibrate BOARDS, from photos of a board, or telewide calibrate CAPTURES --from-scenes; "
+    "make it anew: telewide calibrate BOARDS; without a board: telewide calibrate CAPTURES --from-scenes; "
     "captures that are rectified need none: remove the file"
 )
 _HEADER = """\

@@ -29,14 +29,16 @@ DistanceOption = Annotated[
         help="A point of the tele photo and its distance, metres; exif: its middle, at the focus EXIF states.",
     ),
 ]
-SeedOption = Annotated[int | None, typer.Option(help="Seed of weights and samples.")]
+MAX_SEED = 2**32 - 1
+SeedOption = Annotated[int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of weights and samples.")]
 METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, needs no training."
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
 FNumberOption = Annotated[
     float | None, typer.Option(help="Aperture of the 50 mm lens to imitate; needs the lenses' distance.")
 ]
 StrengthOption = Annotated[
-    float | None, typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the width]")
+    float | None,
+    typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the longer side]"),
 ]
 
 

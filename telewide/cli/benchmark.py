@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import DeviceOption, RigOption, check_device
+from telewide.cli.arguments import MAX_SEED, DeviceOption, RigOption, check_device
 from telewide.cli.console import console_observer
 from telewide.errors import UsageError
 
@@ -38,8 +38,8 @@ def speed(
     matcher: Annotated[
         list[str] | None, typer.Option(help="sgm or a network by name; may be repeated. [default: all]")
     ] = None,
-    repeats: Annotated[int, typer.Option(help="Timed turns of each.")] = 7,
-    warm_up: Annotated[int, typer.Option(help="Turns before them that do not count.")] = 2,
+    repeats: Annotated[int, typer.Option(min=1, help="Timed turns of each.")] = 7,
+    warm_up: Annotated[int, typer.Option(min=0, help="Turns before them that do not count.")] = 2,
     device: DeviceOption = "auto",
     json_file: JsonFileOption = None,
 ) -> None:
@@ -124,10 +124,10 @@ def matches(
 def metres(
     *,
     run: RunOption = None,
-    captures: Annotated[int, typer.Option(help="Still lifes of each kind; three hold every distance.")] = 3,
-    boards: Annotated[int, typer.Option(help="Shots of the board.")] = 14,
-    width: Annotated[int, typer.Option(help="Of all photos, px.")] = 720,
-    seed: Annotated[int, typer.Option(help="Same seed, same photos.")] = 0,
+    captures: Annotated[int, typer.Option(min=1, help="Still lifes of each kind; three hold every distance.")] = 3,
+    boards: Annotated[int, typer.Option(min=1, help="Shots of the board.")] = 14,
+    width: Annotated[int, typer.Option(min=96, help="Of all photos, px.")] = 720,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same photos.")] = 0,
     keep: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Keep photos, rigs and depths. [default: a temporary one]")
     ] = None,

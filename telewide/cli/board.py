@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
+from telewide.cli.arguments import JsonOption, QuietOption
+from telewide.cli.console import print_json
 from telewide.errors import UsageError
+from telewide.text import command_line
 
 PAPERS = ("A4", "A3")
 
@@ -24,14 +27,19 @@ def board(
         str | None, typer.Option(metavar="|".join(PAPERS), help="Sheet. [default: the board's own]")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="PDF to write. [default: NAME.pdf]")] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Write a calibration board as a PDF to print at 100 %, with a ruler to check the print by."""
     from telewide.boards.board import list_boards, load_board, on_paper, resized_board
     from telewide.boards.printing import write_board
 
     if name is None:
-        for known in list_boards():
-            typer.echo(f"{known:24}{load_board(known).description}".rstrip())
+        known = {name: load_board(name).description for name in list_boards()}
+        if as_json:
+            print_json({"boards": known})
+        else:
+            typer.echo("\n".join(f"{name:24}{description}".rstrip() for name, description in known.items()))
         return
     chosen = load_board(name)
     if square_m is not None:
@@ -42,7 +50,9 @@ def board(
     if path.suffix.lower() != ".pdf":
         raise UsageError(f"--out {path}: a board is written as .pdf")
     write_board(path, chosen, name=Path(name).stem)
-    typer.echo(f"wrote {path}; print it at 100 % on {chosen.paper} and check its ruler", err=True)
-    typer.echo(
-        f"next: measure a square, photograph the board, telewide calibrate --board {name} --square-m MEASURED", err=True
-    )
+    if not quiet:
+        typer.echo(f"wrote {path}; print it at 100 % on {chosen.paper} and check its ruler", err=True)
+        told = command_line("calibrate", board=name, square_m="MEASURED")
+        typer.echo(f"next: measure a square, photograph the board, {told}", err=True)
+    if as_json:
+        print_json({"pdf": str(path), "board": name, "square_m": chosen.square_m, "paper": chosen.paper})

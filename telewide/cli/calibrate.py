@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
+from telewide.cli.arguments import DEFAULT_RIG, MAX_SEED, JsonOption, QuietOption
 from telewide.cli.console import console_observer, hand_over
 from telewide.errors import QualityError, UsageError
 from telewide.text import command_line
@@ -65,7 +65,7 @@ def calibrate(
     wide_side: SideOption = None,
     f35: F35Option = None,
     out: Annotated[Path, typer.Option("--out", help="File to write; the report lies beside it.")] = DEFAULT_RIG,
-    seed: Annotated[int, typer.Option(help="Seed of the choice of photos held out.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of the choice of photos held out.")] = 0,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -79,18 +79,25 @@ def calibrate(
         return
     _refuse_options_of_scenes({"--baseline-m": baseline_m, "--wide-side": wide_side, "--f35": f35})
     from telewide.calibration.rig_file import stored_rig
-    from telewide.stages.calibrate import BOARDS_FOLDER, CalibrateOptions, calibrate_boards
+    from telewide.stages.calibrate import (
+        BOARDS_FOLDER,
+        CalibrateOptions,
+        calibrate_boards,
+        calibrate_call,
+        training_call,
+    )
 
-    options = CalibrateOptions(board=board, square_m=square_m, out=out, seed=seed)
+    options, boards = CalibrateOptions(board=board, square_m=square_m, out=out, seed=seed), photos or BOARDS_FOLDER
     with console_observer(is_quiet=quiet) as observer:
-        done = calibrate_boards(photos or BOARDS_FOLDER, options=options, observer=observer)
+        done = calibrate_boards(boards, options=options, observer=observer)
         stored = stored_rig(done.calibration, facts=done.facts)
         _say(stored, done.notes, observer)
         observer.said(f"rig: {done.rig}")
         observer.said(f"report: {done.report}")
-        _say_next(stored, observer)
+        _say_next(stored, training_call(boards, out), observer)
     answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(stored, done.notes)}
-    _hand_over(stored.quality, answer, again="Then run the same command again.", as_json=as_json)
+    again = f"Then again: {calibrate_call(boards, options).again()}"
+    _hand_over(stored.quality, answer, again=again, as_json=as_json)
 
 
 def _check_out(out: Path) -> None:
@@ -125,16 +132,21 @@ def _scene_options(
 
 
 def _calibrate_scenes(photos: Path | None, options: SceneOptions, *, as_json: bool, quiet: bool) -> None:
-    from telewide.stages.calibrate_scenes import CAPTURES_FOLDER, calibrate_scenes
+    from telewide.stages.calibrate import BOARDS_FOLDER, CAPTURES_FOLDER, stated_rig
+    from telewide.stages.calibrate_scenes import calibrate_scenes, scenes_call
 
+    captures, rig = photos or CAPTURES_FOLDER, stated_rig(options.out)
     with console_observer(is_quiet=quiet) as observer:
-        done = calibrate_scenes(photos or CAPTURES_FOLDER, options=options, observer=observer)
+        done = calibrate_scenes(captures, options=options, observer=observer)
         _say(done.stored, done.notes, observer)
         observer.said(f"rig: {done.rig}")
         observer.said(f"report: {done.report}")
-        _say_next(done.stored, observer)
+        _say_next(done.stored, command_line("train", captures, rig=rig), observer)
     answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(done.stored, done.notes)}
-    again = f"After more captures run the same command again; after photos of a board: {_board_command(options.out)}"
+    again = (
+        f"After more captures: {scenes_call(captures, options).again()}\n"
+        f"  After photos of a board: {command_line('calibrate', BOARDS_FOLDER, out=rig)}"
+    )
     _hand_over(done.stored.quality, answer, again=again, as_json=as_json)
 
 
@@ -163,16 +175,9 @@ def _say(stored: StoredRig, notes: Sequence[str], observer: ConsoleObserver) -> 
     observer.said(summary_line(stored.rig, stored.quality, baseline_std_m=std_m))
 
 
-def _say_next(stored: StoredRig, observer: ConsoleObserver) -> None:
+def _say_next(stored: StoredRig, command: str, observer: ConsoleObserver) -> None:
     if stored.quality.verdict != "insufficient":
-        observer.said("next: telewide train captures/  (a rig that lies elsewhere is named with --rig)")
-
-
-def _board_command(out: Path) -> str:
-    """The command that makes the same file from photos of a board."""
-    from telewide.stages.calibrate import BOARDS_FOLDER
-
-    return command_line("calibrate", BOARDS_FOLDER, out=None if out == DEFAULT_RIG else out)
+        observer.said(f"next: {command}")
 
 
 def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, again: str, as_json: bool) -> None:

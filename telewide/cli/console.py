@@ -21,18 +21,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar that shows how far some work is; see :func:`bar`."""
+    """A bar that shows how far some work is, or nothing; see :func:`bar`."""
 
-    _progress: Progress
-    _task: TaskID
+    _shown: tuple[Progress, TaskID] | None = None
 
     def advance(self) -> None:
         """One more is done."""
-        self._progress.advance(self._task)
+        if self._shown is not None:
+            self._shown[0].advance(self._shown[1])
 
     def reach(self, done: int, total: int) -> None:
         """So many of so many are done."""
-        self._progress.update(self._task, completed=done, total=total)
+        if self._shown is not None:
+            self._shown[0].update(self._shown[1], completed=done, total=total)
 
 
 @contextmanager
@@ -74,8 +75,11 @@ def bar(label: str, *, total: int | None = None, is_quiet: bool = False) -> Iter
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
-        yield Bar(progress, progress.add_task(label, total=total))
+    if is_quiet or not console.is_terminal:  # a bar of rich that is switched off leaves an empty line all the same
+        yield Bar()
+        return
+    with Progress(console=console, transient=True) as progress:
+        yield Bar((progress, progress.add_task(label, total=total)))
 
 
 def hand_over(answer: dict[str, object], *, failure: QualityError | None, as_json: bool) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import JsonOption, QuietOption
+from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
 from telewide.cli.console import bar, print_json
 from telewide.errors import InputError, UsageError
 from telewide.text import command_line, counted
@@ -139,8 +139,10 @@ def _say_done(plan: ImportPlan, dcim: Path, captures: Path, *, is_dry: bool) -> 
         if lenses.others:
             _say_lenses(lenses, dcim, captures)
     if not is_dry and plan.pairs:
-        typer.echo("next: telewide calibrate boards/  (photos of a board, taken with both lenses)", err=True)
-        typer.echo(f"  or without a board: {command_line('calibrate', captures, from_scenes=True)}", err=True)
+        rig = captures / DEFAULT_RIG
+        boards = command_line("calibrate", "boards", out=rig)
+        typer.echo(f"next: {boards}  (photos of a board, taken with both lenses)", err=True)
+        typer.echo(f"  or without a board: {command_line('calibrate', captures, from_scenes=True, out=rig)}", err=True)
 
 
 def _say_lenses(lenses: ChosenLenses, dcim: Path, captures: Path) -> None:

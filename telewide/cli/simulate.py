@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from telewide.cli.console import bar
+from telewide.cli.arguments import DEFAULT_RIG, MAX_SEED, JsonOption, QuietOption
+from telewide.cli.console import bar, print_json
 from telewide.errors import UsageError
 from telewide.text import command_line, counted
 
@@ -20,6 +20,7 @@ SIMULATE_EPILOG = (
     "Example: `telewide simulate my-captures --captures 12 --seed 3`; "
     "with boards, rendered: `telewide simulate my-phone --world rooms --boards 20`"
 )
+_BOARD = "chessboard_9x6"
 WORLDS = ("pairs", "phone", "rooms")
 _PAIR_WIDTH_PX, _PAIR_HEIGHT_PX, _ROOM_WIDTH_PX = 384, 256, 720
 _WORLD_HELP = (
@@ -36,7 +37,7 @@ def simulate(
     boards: Annotated[
         int | None, typer.Option(help="How many photos of the board by each lens; phone and rooms. [default: 14; 20]")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Same seed, same pictures.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same pictures.")] = 0,
     width: Annotated[
         int | None, typer.Option(help="Width of tele, px. [default: pairs and phone 384; rooms 720]")
     ] = None,
@@ -56,25 +57,27 @@ def simulate(
     thin_lens: Annotated[
         bool, typer.Option("--thin-lens", help="Also what a large aperture would blur, into truth/; rooms.")
     ] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Write captures of a simulated world, with exact disparity beside them."""
     chosen = _world(world, is_phone=phone)
-    own: dict[str, dict[str, object]] = {
-        "pairs": {"--height": height, "--factor": factor, "--scene": scene},
-        "rooms": {"--samples": samples, "--lenses": lenses, "--raw": raw or None, "--thin-lens": thin_lens or None},
-    }
-    _refuse_foreign(chosen, own, boards=boards)
+    of_rooms = {"--samples": samples, "--lenses": lenses, "--raw": raw or None, "--thin-lens": thin_lens or None}
+    of_pairs = {"--height": height, "--factor": factor, "--scene": scene}
+    _refuse_foreign(chosen, {"pairs": of_pairs, "rooms": of_rooms}, boards=boards)
     _refuse_filled(out)
+    n_boards = {"pairs": 0, "phone": _or(boards, 14), "rooms": _or(boards, 20)}[chosen]
     if chosen == "pairs":
-        hw = (_or(height, _PAIR_HEIGHT_PX), _or(width, _PAIR_WIDTH_PX))
-        _simulate_pairs(out, captures, seed, hw=hw, factor=3.0 if factor is None else factor, scene=scene)
+        _simulate_pairs(out, captures, seed, hw=(height, width), factor=factor, scene=scene)
     elif chosen == "phone":
-        _simulate_phone(out, captures, seed, boards=_or(boards, 14), width=_or(width, _PAIR_WIDTH_PX))
-    else:
-        from telewide.simulate.rooms import DEFAULT_SAMPLES, RoomShots
+        from telewide.simulate.phone import write_phone
 
-        how = RoomShots(_or(width, _ROOM_WIDTH_PX), _or(samples, DEFAULT_SAMPLES), _is_vertical(lenses), raw, thin_lens)
-        _simulate_rooms(out, captures, seed, boards=_or(boards, 20), how=how)
+        write_phone(out, captures=captures, boards=n_boards, seed=seed, width=_or(width, _PAIR_WIDTH_PX))
+    else:
+        how = _room_shots(width, samples, lenses, is_raw=raw, has_thin_lens=thin_lens)
+        _simulate_rooms(out, captures, seed, boards=n_boards, how=how, is_quiet=quiet)
+    answer = {"folder": str(out), "world": chosen, "captures": captures, "boards": n_boards, "seed": seed}
+    _hand_over(out, answer, as_json=as_json, is_quiet=quiet)
 
 
 def _world(world: str | None, *, is_phone: bool) -> str:
@@ -120,31 +123,53 @@ def _or(given: int | None, default: int) -> int:
 
 
 def _simulate_pairs(
-    out: Path, captures: int, seed: int, *, hw: tuple[int, int], factor: float, scene: str | None
+    out: Path,
+    captures: int,
+    seed: int,
+    *,
+    hw: tuple[int | None, int | None],
+    factor: float | None,
+    scene: str | None,
 ) -> None:
     from telewide.simulate.captures import write_captures
 
-    folders = write_captures(out, count=captures, seed=seed, hw=hw, factor=factor, scene=scene or "still-life")
-    typer.echo(f"wrote {counted(len(folders), 'capture')} to {out}", err=True)
-    typer.echo(f"next: {command_line('train', out)}", err=True)
+    size = (_or(hw[0], _PAIR_HEIGHT_PX), _or(hw[1], _PAIR_WIDTH_PX))
+    by = 3.0 if factor is None else factor
+    write_captures(out, count=captures, seed=seed, hw=size, factor=by, scene=scene or "still-life")
 
 
-def _simulate_phone(out: Path, captures: int, seed: int, *, boards: int, width: int) -> None:
-    from telewide.simulate.phone import write_phone
+def _room_shots(
+    width: int | None, samples: int | None, lenses: str | None, *, is_raw: bool, has_thin_lens: bool
+) -> RoomShots:
+    from telewide.simulate.rooms import DEFAULT_SAMPLES, RoomShots
 
-    write_phone(out, captures=captures, boards=boards, seed=seed, width=width)
-    _say_phone(out, captures)
+    return RoomShots(
+        _or(width, _ROOM_WIDTH_PX), _or(samples, DEFAULT_SAMPLES), _is_vertical(lenses), is_raw, has_thin_lens
+    )
 
 
-def _simulate_rooms(out: Path, captures: int, seed: int, *, boards: int, how: RoomShots) -> None:
+def _simulate_rooms(out: Path, captures: int, seed: int, *, boards: int, how: RoomShots, is_quiet: bool) -> None:
     from telewide.simulate.rooms import write_rooms
 
-    with bar("rendering", total=captures + boards) as shown:
+    with bar("rendering", total=captures + boards, is_quiet=is_quiet) as shown:
         write_rooms(out, captures=captures, boards=boards, seed=seed, how=how, tick=shown.advance)
-    _say_phone(out, captures)
 
 
-def _say_phone(out: Path, captures: int) -> None:
-    typer.echo(f"wrote {counted(captures, 'capture')} and photos of a board to {out}", err=True)
-    calibrate = command_line("calibrate", board="chessboard_9x6", square_m=0.025)
-    typer.echo(f"next: cd {shlex.quote(str(out))} && {calibrate}", err=True)
+def _hand_over(out: Path, answer: dict[str, object], *, as_json: bool, is_quiet: bool) -> None:
+    if not is_quiet:
+        _say(out, counted(cast(int, answer["captures"]), "capture"), has_boards=answer["world"] != "pairs")
+    if as_json:
+        print_json(answer)
+
+
+def _say(out: Path, captures: str, *, has_boards: bool) -> None:
+    if not has_boards:
+        typer.echo(f"wrote {captures} to {out}", err=True)
+        typer.echo(f"next: {command_line('train', out)}", err=True)
+        return
+    from telewide.simulate.phone import BOARD_SQUARE_M
+
+    typer.echo(f"wrote {captures} and photos of a board to {out}", err=True)
+    rig = out / DEFAULT_RIG
+    calibrate = command_line("calibrate", out / "boards", board=_BOARD, square_m=BOARD_SQUARE_M, out=rig)
+    typer.echo(f"next: {calibrate}", err=True)

@@ -32,9 +32,10 @@ from telewide.errors import InputError, TelewideError
 from telewide.geometry.stereo import FloatMap
 from telewide.pages.report import NextStep
 from telewide.pages.rig_report import write_rig_report
-from telewide.text import counted
+from telewide.text import Call, command_line, counted
 
 BOARDS_FOLDER = Path("boards")
+CAPTURES_FOLDER = Path("captures")
 _PREVIEW_WIDTH_PX = 1000
 
 
@@ -191,21 +192,34 @@ def _write_report(
     return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
 
 
+def calibrate_call(boards: Path, options: CalibrateOptions) -> Call:
+    """The call that makes this rig from these photos, for the calls advised after it."""
+    stated = {"board": options.board, "square_m": options.square_m, "seed": options.seed or None}
+    return Call("calibrate", (boards,), {**stated, "out": stated_rig(options.out)})
+
+
+def stated_rig(rig: Path) -> Path | None:
+    """The rig as an option has to name it: None where it is found without."""
+    return None if rig == RIG_FILE else rig
+
+
+def training_call(boards: Path, rig: Path) -> str:
+    """The command that trains on captures beside a folder of board photos, with a rig."""
+    beside = boards.parent / CAPTURES_FOLDER
+    return command_line("train", beside if beside.is_dir() else CAPTURES_FOLDER, rig=stated_rig(rig))
+
+
 def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOptions) -> tuple[NextStep, ...]:
-    stated = {"--board": options.board, "--square-m": options.square_m}
-    words = [f"{flag} {value}" for flag, value in stated.items() if value is not None]
-    again = " ".join(["telewide calibrate", str(boards), *words])
+    call = calibrate_call(boards, options)
     steps = []
     if calibration.quality.verdict != "good":
-        steps.append(NextStep("Add such photos to the folder and calibrate again:", again))
+        steps.append(NextStep("Add such photos to the folder and calibrate again:", call.again()))
     if options.square_m is None:
-        steps.append(
-            NextStep(
-                "Measure ten squares of your print with a ruler and give a tenth, in metres:", f"{again} --square-m M"
-            )
-        )
+        told = "Measure ten squares of your print with a ruler and give a tenth, in metres:"
+        steps.append(NextStep(told, call.again(square_m="M")))
     if calibration.quality.verdict != "insufficient":
-        steps.append(NextStep("Train on captures taken with the same lenses:", "telewide train captures/"))
+        told = "Train on captures taken with the same lenses:"
+        steps.append(NextStep(told, training_call(boards, options.out)))
     return tuple(steps)
 
 

@@ -46,13 +46,12 @@ from telewide.pages.report import NextStep
 from telewide.pages.scenes_report import SceneView, write_scenes_report
 from telewide.points.matches import Matches
 from telewide.points.photo_matches import find_photo_matches
-from telewide.stages.calibrate import CalibrationObserver
-from telewide.text import counted
+from telewide.stages.calibrate import CalibrationObserver, stated_rig
+from telewide.text import Call, command_line, counted
 
 FloatArray = NDArray[np.float64]
 Hw = tuple[int, int]
 
-CAPTURES_FOLDER = Path("captures")
 _PREVIEW_WIDTH_PX = 1000
 
 
@@ -314,29 +313,37 @@ def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:
     return tuple(views)
 
 
+def scenes_call(captures: Path, options: SceneOptions) -> Call:
+    """The call that makes this rig from these captures, for the calls advised after it."""
+    stated = {
+        "from_scenes": True,
+        "f35": None if options.f35_mm is None else "{:g},{:g}".format(*options.f35_mm),
+        "baseline_m": options.baseline_m,
+        "wide_side": options.wide_side,
+        "seed": options.seed or None,
+        "out": stated_rig(options.out),
+    }
+    return Call("calibrate", (captures,), stated)
+
+
 def _next_steps(
     folder: Path, stored: StoredRig, *, options: SceneOptions, evidence: SceneEvidence
 ) -> tuple[NextStep, ...]:
-    stated = {
-        "--f35": None if options.f35_mm is None else "{:g},{:g}".format(*options.f35_mm),
-        "--baseline-m": options.baseline_m,
-        "--wide-side": options.wide_side,
-    }
-    words = [f"{flag} {value}" for flag, value in stated.items() if value is not None]
-    again = " ".join(["telewide calibrate", str(folder), "--from-scenes", *words])
+    call, rig = scenes_call(folder, options), stated_rig(options.out)
     steps = []
     if any(check.unit == "captures" and check.status != "pass" for check in stored.quality.checks):
-        steps.append(NextStep("Add such captures to the folder and calibrate again:", again))
+        steps.append(NextStep("Add such captures to the folder and calibrate again:", call.again()))
     if evidence.whole.side_source == "guessed":
-        side = evidence.whole.wide_side
-        steps.append(NextStep("State where the wide lens stands, seen from behind:", f"{again} --wide-side {side}"))
+        again = call.again(wide_side=evidence.whole.wide_side)
+        steps.append(NextStep("State where the wide lens stands, seen from behind:", again))
     if options.baseline_m is None:
         text = "For metres, measure from the middle of one lens to that of the other, and give it in metres:"
-        steps.append(NextStep(text, f"{again} --baseline-m M"))
+        steps.append(NextStep(text, call.again(baseline_m="M")))
     if stored.quality.verdict != "insufficient":
-        steps.append(NextStep("Train on captures taken with the same lenses:", f"telewide train {folder}"))
+        train = command_line("train", folder, rig=rig)
+        steps.append(NextStep("Train on captures taken with the same lenses:", train))
         text = "Pin a capture's depth to a point (column, row) of the tele photo and its distance in metres:"
-        steps.append(NextStep(text, f"telewide depth {folder}/NAME --distance X,Y,M"))
+        steps.append(NextStep(text, command_line("depth", folder / "NAME", distance="X,Y,M", rig=rig)))
     return tuple(steps)
 
 

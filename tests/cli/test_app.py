@@ -336,6 +336,40 @@ def test_simulate_says_what_to_do_next(tmp_path: Path, capsys: pytest.CaptureFix
     refused(capsys, "simulate", str(tmp_path / "none"), "--captures", "0", code=2, names=("captures is 0",))
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "made", "--seed", "-1"),
+        ("calibrate", "--seed", "-1"),
+        ("calibrate", "--from-scenes", "--seed", "4294967296"),
+        ("train", "--seed", "-1"),
+        ("run", "--seed", "-2"),
+        ("benchmark", "metres", "--seed", "-1"),
+        ("benchmark", "metres", "--boards", "0"),
+        ("benchmark", "metres", "--captures", "-1"),
+        ("benchmark", "speed", "--repeats", "0"),
+        ("benchmark", "speed", "--warm-up", "-1"),
+    ],
+)
+def test_numbers_that_nothing_can_have_are_a_wrong_call(
+    words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused(capsys, *words, code=2, names=(words[-2],))
+    assert sorted(path.name for path in captures.parent.iterdir()) == ["captures"]
+
+
+def test_a_world_is_written_in_json_and_names_the_calls_that_use_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "my phone"
+    words = ("simulate", str(out), "--world", "phone", "--captures", "1", "--boards", "1", "--seed", "4", "--json")
+    assert run_cli(*words) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out) == {"folder": str(out), "world": "phone", "captures": 1, "boards": 1, "seed": 4}
+    stated = f"'{out}/boards' --board chessboard_9x6 --square-m 0.025 --out '{out}/rig.yaml'"
+    assert f"next: telewide calibrate {stated}" in told.err.splitlines()
+
+
 @pytest.mark.parametrize("world", ["pairs", "phone", "rooms"])
 def test_simulate_leaves_what_lies_in_a_folder_alone(
     world: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

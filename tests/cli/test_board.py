@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,19 @@ def test_writes_a_pdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert done.stdout == ""
     assert run("charuco_a3").exit_code == 0
     assert Path("charuco_a3.pdf").is_file()
+
+
+def test_json_says_what_was_written_and_the_next_command_is_quoted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("my board.yaml").write_text("kind: chessboard\ncolumns: 5\nrows: 4\nsquare_m: 0.03\n")
+    done = run("my board.yaml", "--json")
+    written = {"pdf": "my board.pdf", "board": "my board.yaml", "square_m": 0.03, "paper": "A4"}
+    assert json.loads(done.stdout) == written
+    assert "telewide calibrate --board 'my board.yaml' --square-m MEASURED" in done.stderr
+    assert run("my board.yaml", "--quiet").output == ""
+    assert "chessboard_9x6" in json.loads(run("--json").stdout)["boards"]
 
 
 def test_own_board_by_its_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

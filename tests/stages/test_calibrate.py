@@ -13,11 +13,11 @@ import pytest
 from photographed_boards import drawn_rig, write_board_photos
 from PIL import Image
 
-from telewide.calibration.rig_file import read_rig
+from telewide.calibration.rig_file import RIG_FILE, read_rig
 from telewide.capture.images import read_image, write_image
 from telewide.cli import main
 from telewide.errors import InputError, UsageError
-from telewide.stages.calibrate import CalibrateOptions, CalibrationRun, calibrate_boards
+from telewide.stages.calibrate import CalibrateOptions, CalibrationRun, calibrate_boards, calibrate_call, training_call
 
 N_SHOTS = 12
 BOARD = "chessboard_9x6"
@@ -190,6 +190,20 @@ def test_millimetres_are_refused(boards: Path, tmp_path: Path) -> None:
     options = CalibrateOptions(board=BOARD, square_m=25.0, out=tmp_path / "rig.yaml")
     with pytest.raises(UsageError, match="25"):
         calibrate_boards(boards, options=options, observer=Listener())
+
+
+def test_commands_advised_name_the_rig_and_all_that_was_stated(done: CalibrationRun, tmp_path: Path) -> None:
+    """Without --out the next call would replace the rig of another phone."""
+    options = CalibrateOptions(board="my board.yaml", square_m=0.024, out=Path("phone B.yaml"), seed=3)
+    again = calibrate_call(Path("my boards"), options).again()
+    stated = "--board 'my board.yaml' --square-m 0.024 --seed 3 --out 'phone B.yaml'"
+    assert again == f"telewide calibrate 'my boards' {stated}"
+    assert training_call(Path("my boards"), options.out) == "telewide train captures --rig 'phone B.yaml'"
+    assert calibrate_call(Path("boards"), CalibrateOptions()).again() == "telewide calibrate boards"
+    (tmp_path / "captures").mkdir()
+    assert training_call(tmp_path / "boards", RIG_FILE) == f"telewide train {tmp_path / 'captures'}"
+    page = done.report.read_text(encoding="utf-8")
+    assert f"telewide train captures --rig {done.rig}" in page
 
 
 # The command line

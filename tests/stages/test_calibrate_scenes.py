@@ -201,7 +201,7 @@ def test_a_stated_baseline_and_too_few_captures_to_check_by(
     answer = json.loads(captured.out)
     assert answer["verdict"] == "insufficient"
     assert "Take 2 more captures" in answer["hint"]
-    assert answer["hint"].endswith("after photos of a board: telewide calibrate boards --out few.yaml")
+    assert answer["hint"].endswith("After photos of a board: telewide calibrate boards --out few.yaml")
     assert answer["epipolar_p90_px"] is None
     assert (answer["baseline_m"], answer["baseline_std_m"]) == (pytest.approx(0.012), pytest.approx(0.0005))
     assert not answer["scale_verified"]

@@ -1,0 +1,164 @@
+"""Commands that a person is shown, against the parser: those of README, docs, recipes and messages."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from telewide.cli.app import app
+from telewide.recipe import load_recipe
+
+DOCUMENTS = ("*.md", "docs/*.md", "pipelines/*.yaml", "Makefile")
+SHARED_BY = {
+    # The messages of a stage are read by whoever runs it: the options they name have to be there in every command.
+    "stages/prepare.py": ("train", "depth", "run"),
+    "stages/align.py": ("train", "depth", "run"),
+    "stages/calibrate.py": ("calibrate",),
+    "stages/calibrate_scenes.py": ("calibrate",),
+    "boards": ("calibrate",),
+}
+_COMMAND = re.compile(r"\btelewide (?=[a-z])[^`\n#|;:()]*")
+_FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
+
+
+def parser_of(words: list[str]) -> tuple[Any, list[str]]:
+    """The parser of a subcommand, and the words that are left to it."""
+    command, left = typer.main.get_command(app), words
+    while hasattr(command, "commands") and left and left[0] in command.commands:
+        command, left = command.commands[left[0]], left[1:]
+    return command, left
+
+
+def flags_of(*words: str) -> set[str]:
+    command, _ = parser_of(list(words))
+    return {flag for parameter in command.params for flag in parameter.opts if flag.startswith("--")} | {"--help"}
+
+
+def why_refused(line: str) -> str | None:
+    """What the parser says against a command line; None where it is content. Capitals are what a person fills in."""
+    words = ["1" if re.fullmatch(r"[A-Z][A-Z,_|]*", word) else word for word in shlex.split(line)[1:]]
+    command, left = parser_of(words)
+    if hasattr(command, "commands"):
+        return None if left == ["--help"] or (len(words) < 2 and not left) else f"no command {left}"
+    if not left or "--help" in left:  # the command is named, not called
+        return None
+    try:
+        context = command.make_context(words[0], list(left))
+    except Exception as error:  # the parser's own kinds differ between its releases
+        return str(error)
+    if context.params.get("settings"):
+        load_recipe(context.params["recipe"], settings=context.params["settings"])
+    return None
+
+
+def shown_in(text: str) -> Iterator[str]:
+    """Command lines in a text: spans in backticks, and lines that begin with one."""
+    joined = re.sub(r"(?<=\S)\n(?! *\n)", " ", text)
+    spans = re.findall(r"`(?:torchrun[^`]*-m )?(telewide [^`]+)`", joined)
+    lines = re.findall(r"^(?: {4}|\t)[^#\n]*?\b(telewide (?=[a-z])[^#\n;]*)", text, re.MULTILINE)
+    for shown in [*spans, *lines]:
+        if "..." not in shown and "COMMAND" not in shown:
+            yield re.sub(r"\$\((\w+)\)", lambda name: "" if name[1] == "RUN_FLAGS" else name[1], shown)
+
+
+def documents(repo: Path) -> list[Path]:
+    return [path for pattern in DOCUMENTS for path in sorted(repo.glob(pattern))]
+
+
+def test_every_command_in_the_documents_parses(repo: Path) -> None:
+    called = [path for path in documents(repo) if path.name != "CHANGELOG.md"]  # which names commands and options
+    shown = [(path.name, line) for path in called for line in shown_in(path.read_text(encoding="utf-8"))]
+    assert len(shown) > 35
+    assert [(name, line, why) for name, line in shown if (why := why_refused(line)) is not None] == []
+
+
+def test_every_option_is_documented(repo: Path) -> None:
+    told = "".join(path.read_text(encoding="utf-8") for path in documents(repo) if path.suffix == ".md")
+    missing = {
+        (command, flag)
+        for command in typer.main.get_command(app).commands  # type: ignore[attr-defined]
+        for flag in flags_of(command)
+        if flag not in told
+    }
+    assert missing == set()
+
+
+def sources(repo: Path) -> list[Path]:
+    return sorted((repo / "telewide").rglob("*.py"))
+
+
+def texts_of(tree: ast.AST) -> Iterator[str]:
+    """Texts of a module that can be shown, with 1 where a value goes; docstrings apart."""
+    skipped = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            skipped.add(node.value)
+        if isinstance(node, ast.JoinedStr):
+            skipped.update(node.values)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(str(part.value) if isinstance(part, ast.Constant) else "1" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in skipped:
+            yield node.value
+
+
+def test_every_command_in_a_message_parses(repo: Path) -> None:
+    shown = [
+        (path.relative_to(repo).as_posix(), found)
+        for path in sources(repo)
+        for text in texts_of(ast.parse(path.read_text(encoding="utf-8")))
+        for found in _COMMAND.findall(text)
+    ]
+    known = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    calls = [(name, line) for name, line in shown if line.split()[1].strip(",.") in known]
+    refused = []
+    for name, line in calls:
+        words = line.replace(",", " ").split() if "--" not in line else line.split()
+        stated = " ".join(words[:2] if "--" not in line else words).rstrip(".,")
+        why = why_refused(stated)
+        if why is not None and "--" in line:
+            refused.append((name, line, why))
+    assert refused == []
+
+
+def test_composed_commands_exist_with_their_options(repo: Path) -> None:
+    """Wherever code composes a command, its name and its options are known to the parser."""
+    refused, n_seen = [], 0
+    for path in sources(repo):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or not node.args or not isinstance(node.args[0], ast.Constant):
+                continue
+            name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+            if name not in ("command_line", "instead", "Call"):
+                continue
+            n_seen += 1
+            command = str(node.args[0].value)
+            stated = {f"--{keyword.arg.replace('_', '-')}" for keyword in node.keywords if keyword.arg}
+            stated -= {"--options"} if name == "Call" else set()
+            if "commands" in vars(parser_of([command])[0]) or not stated <= flags_of(command):
+                refused.append((path.name, node.lineno, command, sorted(stated)))
+    assert n_seen > 10
+    assert refused == []
+
+
+@pytest.mark.parametrize(("place", "commands"), SHARED_BY.items())
+def test_an_option_that_a_message_names_exists_in_every_command_that_shows_it(
+    place: str, commands: tuple[str, ...], repo: Path
+) -> None:
+    folder = repo / "telewide" / place
+    found = [
+        (path.name, flag, command)
+        for path in ([folder] if folder.is_file() else sorted(folder.rglob("*.py")))
+        for text in texts_of(ast.parse(path.read_text(encoding="utf-8")))
+        for flag in _FLAG.findall(_COMMAND.sub("", text))
+        for command in commands
+        if flag not in flags_of(command)
+    ]
+    assert found == []
