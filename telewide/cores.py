@@ -1,8 +1,12 @@
-"""How many processor cores there are to compute on."""
+"""What there is to compute on: devices by name, processor cores."""
 
 from __future__ import annotations
 
 import os
+from typing import Literal
+
+Device = Literal["auto", "cpu", "cuda"]
+"""auto takes a GPU where there is one."""
 
 
 def usable_cores() -> int:

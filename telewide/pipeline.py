@@ -13,6 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from telewide.cores import Device
 from telewide.recipe import Recipe
 from telewide.stages.call import begun
 from telewide.stages.depth import DepthOptions, DepthRun, compute_depth, make_folder, refuse_what_cannot_be
@@ -31,7 +32,7 @@ def train_captures(
     run: Path | None,
     recipe: Recipe,
     fresh: bool,
-    device: str,
+    device: Device,
     observer: Observer,
     rig: Path | None = None,
 ) -> TrainOutcome:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import ast
 import functools
+import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,3 +120,11 @@ def calls(module: Module) -> Iterator[tuple[str, ast.Call]]:
 def at(module: Module, line: int, what: str) -> str:
     """One finding, as an editor can jump to it."""
     return f"{module.path}:{line}: {what}"
+
+
+def modules_loaded_by(script: str) -> set[str]:
+    """Names in ``sys.modules`` after a fresh interpreter ran a script."""
+    report = "\nimport json, sys\nsys.stderr.write('LOADED' + json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script + report], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stderr.rpartition("LOADED")[2]))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide.benchmark.memory import SGM
+from telewide.cores import Device
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap, FloatMap
 from telewide.matching.semiglobal import match_semiglobal
@@ -42,7 +43,7 @@ def semiglobal_contender() -> Contender:
     return Contender(SGM, lambda ref, src, window: match_semiglobal(ref, src, window=window))
 
 
-def all_contenders(sources: Sequence[Path], *, device: str) -> list[Contender]:
+def all_contenders(sources: Sequence[Path], *, device: Device) -> list[Contender]:
     """Semi-global matching, then every stage of every run in the order of training, and each run's result with both.
 
     Args:
@@ -73,7 +74,7 @@ def source_labels(sources: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(source) for source in sources]
 
 
-def _contenders_of(source: Path, label: str, *, device: str) -> list[Contender]:
+def _contenders_of(source: Path, label: str, *, device: Device) -> list[Contender]:
     from telewide.matching.inference import choose_device
     from telewide.training.checkpoint import load_weights
 

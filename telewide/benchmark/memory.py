@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.cores import Device
 from telewide.errors import TelewideError
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
@@ -40,7 +41,7 @@ class MemoryCase:
     precision: str
     hw: tuple[int, int]
     window: Window
-    device: str = "auto"
+    device: Device = "auto"
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,10 @@ from telewide.boards.shots import detect_shots, find_board_shots
 from telewide.calibration.rig_file import RigFacts, write_rig
 from telewide.calibration.solver import calibrate_rig
 from telewide.capture.images import read_image, read_pfm
+from telewide.cores import Device
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig
+from telewide.matching.methods import Method
 from telewide.pipeline import depth_captures
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.simulate.phone import BOARD_SQUARE_M, write_phone
@@ -68,7 +70,7 @@ class MetresOptions:
     boards: int = 14
     width: int = 720
     seed: int = 0
-    device: str = "auto"
+    device: Device = "auto"
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class DepthMaker:
     """
 
     name: str
-    method: str
+    method: Method
     weights: Path | None
     recipe: Recipe
 
@@ -266,7 +268,7 @@ def _calibrate(place: Path, *, seed: int) -> Path:
     return place / "rig.yaml"
 
 
-def _depth(place: Path, maker: DepthMaker, *, out: Path, rig: Path, device: str, observer: Observer) -> DepthRun:
+def _depth(place: Path, maker: DepthMaker, *, out: Path, rig: Path, device: Device, observer: Observer) -> DepthRun:
     """What ``telewide depth`` does."""
     asked = DepthOptions(method=maker.method, weights=maker.weights, out=out, device=device, rig=rig)
     return depth_captures(place / "captures", run=place / "run", recipe=maker.recipe, options=asked, observer=observer)

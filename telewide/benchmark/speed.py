@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from telewide.benchmark.memory import SGM, MemoryCase, MemoryPeak, measure_peak
 from telewide.benchmark.report import BenchmarkReport, describe_machine, markdown_table, number
 from telewide.benchmark.timing import Timing, time_side_by_side
+from telewide.cores import Device
 from telewide.errors import UsageError
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
@@ -47,7 +48,7 @@ class SpeedOptions:
     """
 
     matchers: tuple[str, ...] = ()
-    device: str = "auto"
+    device: Device = "auto"
     repeats: int = 7
     warm_up: int = 2
     batch: int = 2

@@ -28,6 +28,7 @@ __all__ = [
     "Problem",
     "RectifiedPair",
     "find_captures",
+    "pair_from_photos",
     "read_facts",
     "read_pair",
     "read_photos",
@@ -109,11 +110,30 @@ def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> Rectifi
             the two sizes.
     """
     photos = read_photos(capture)
+    return pair_from_photos(photos, labels=(str(capture.tele_path), str(capture.wide_path)), facts=facts)
+
+
+def pair_from_photos(
+    photos: PhotoPair, *, labels: tuple[str, str] = ("tele", "wide"), facts: CaptureFacts | None = None
+) -> RectifiedPair:
+    """Bring wide to tele's size; the photos are taken for rectified.
+
+    Args:
+        photos: tele, and wide of its size or shrunk by one factor.
+        labels: what messages call the two photos.
+        facts: what their owner states; a stated asymmetry that contradicts the sizes is warned of.
+
+    Returns:
+        The pair.
+
+    Raises:
+        InputError: no common factor explains the two sizes.
+    """
     tele, wide = photos.tele, photos.wide
     if tele.shape != wide.shape:
-        _check_factor(capture, tele, wide, facts)
+        _check_factor(labels, tele, wide, facts)
         wide = resize_bicubic(wide, wh=(tele.shape[1], tele.shape[0]))
-    return RectifiedPair(capture.name, tele, wide)
+    return RectifiedPair(photos.name, tele, wide)
 
 
 def read_truth(capture: Capture, *, hw: tuple[int, int] | None = None) -> FloatImage | None:
@@ -184,11 +204,11 @@ def _refuse_tiny(path: Path, image: FloatImage) -> None:
         raise InputError(f"{path} is {_size(image.shape)} px; both sides of a photo must have {MIN_SIDE_PX} or more")
 
 
-def _check_factor(capture: Capture, tele: FloatImage, wide: FloatImage, facts: CaptureFacts | None) -> None:
+def _check_factor(labels: tuple[str, str], tele: FloatImage, wide: FloatImage, facts: CaptureFacts | None) -> None:
     """Refuse sizes that are not one picture size and the same shrunk by a factor, in whole pixels."""
     tele_hw, wide_hw = tele.shape[:2], wide.shape[:2]
     lowest, highest = _factor_range(tele_hw, wide_hw)
-    sizes = f"{capture.tele_path} is {_size(tele_hw)} px and {capture.wide_path} is {_size(wide_hw)} px"
+    sizes = f"{labels[0]} is {_size(tele_hw)} px and {labels[1]} is {_size(wide_hw)} px"
     if lowest >= highest:
         turned_lowest, turned_highest = _factor_range(tele_hw, wide_hw[::-1])
         hint = "turn one of them by 90 degrees" if turned_lowest < turned_highest else "crop both to the same view"

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
-from telewide.errors import UsageError
+from telewide.cores import Device
+from telewide.matching.methods import Method
 
 DEFAULT_RIG = Path("rig.yaml")
-DEVICES = ("auto", "cpu", "cuda")
-DeviceOption = Annotated[str, typer.Option(metavar="|".join(DEVICES), help="Where to compute.")]
+DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, needs no training."
+MethodOption = Annotated[Method, typer.Option(help=METHOD_HELP)]
 RigOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")
 ]
@@ -31,7 +33,6 @@ DistanceOption = Annotated[
 ]
 MAX_SEED = 2**32 - 1
 SeedOption = Annotated[int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of weights and samples.")]
-METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, needs no training."
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
 FNumberOption = Annotated[
     float | None, typer.Option(help="Aperture of the 50 mm lens to imitate; needs the lenses' distance.")
@@ -40,16 +41,3 @@ StrengthOption = Annotated[
     float | None,
     typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the longer side]"),
 ]
-
-
-def check_device(device: str) -> None:
-    """Refuse what is no device.
-
-    Args:
-        device: as given to ``--device``.
-
-    Raises:
-        UsageError: another word.
-    """
-    if device not in DEVICES:
-        raise UsageError(f"--device {device}: expected {', '.join(DEVICES[:-1])} or {DEVICES[-1]}")

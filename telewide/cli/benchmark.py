@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import MAX_SEED, DeviceOption, RigOption, check_device
+from telewide.cli.arguments import MAX_SEED, DeviceOption, RigOption
 from telewide.cli.console import console_observer
 from telewide.errors import UsageError
 
@@ -46,7 +46,6 @@ def speed(
     """Time a training step and an inference, and measure peak memory, with and without bf16."""
     from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
 
-    check_device(device)
     options = SpeedOptions(matchers=tuple(matcher or ()), device=device, repeats=repeats, warm_up=warm_up)
     report = measure_speed(options, tell=_tell)
     _hand_over(report, speed_table(report), json_file)
@@ -71,7 +70,6 @@ def middlebury(
     from telewide.benchmark.contenders import all_contenders
     from telewide.benchmark.middlebury import SPLITS, benchmark_middlebury, middlebury_table
 
-    check_device(device)
     if split not in SPLITS:
         raise UsageError(f"--split {split}: expected {', '.join(SPLITS)}")
     contenders = all_contenders(run or (), device=device)
@@ -100,7 +98,6 @@ def matches(
     from telewide.stages.depth import recipe_of_depth
     from telewide.stages.run_folder import RunFolder
 
-    check_device(device)
     sources = run or []
     entrants = [Entrant(contender) for contender in all_contenders(sources, device=device)]
     if uncorrected:
@@ -137,7 +134,6 @@ def metres(
     """Measure depth in metres from simulated photos, the wide lens still and moving, with and without a cast."""
     from telewide.benchmark.metres import MetresOptions, benchmark_metres, depth_makers, metres_table
 
-    check_device(device)
     options = MetresOptions(captures=captures, boards=boards, width=width, seed=seed, device=device)
     makers = depth_makers(run or ())
     with console_observer(shows_table=False) as observer, _folder_or_temporary(keep) as folder:

@@ -8,20 +8,21 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.arguments import (
-    METHOD_HELP,
     CapturesArgument,
     DeviceOption,
     DistanceOption,
     FNumberOption,
     FocusOption,
     JsonOption,
+    MethodOption,
     QuietOption,
     RigOption,
     StrengthOption,
-    check_device,
 )
 from telewide.cli.console import console_observer, hand_over
+from telewide.cores import Device
 from telewide.errors import QualityError, UsageError
+from telewide.matching.methods import Method
 from telewide.text import counted
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def depth(
         Path | None, typer.Option("--run", "--run-folder", help="Run folder of a training. [default: run/]")
     ] = None,
     weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
-    method: Annotated[str, typer.Option(metavar="joint|network|sgm", help=METHOD_HELP)] = "joint",
+    method: MethodOption = "joint",
     bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,
@@ -82,11 +83,11 @@ def depth(
 
 def depth_options(
     *,
-    method: str,
+    method: Method,
     weights: Path | None,
     bokeh: BokehOptions | None,
     out: Path | None,
-    device: str,
+    device: Device,
     rig: Path | None,
     distance: str | None,
 ) -> DepthOptions:
@@ -106,11 +107,7 @@ def depth_options(
     """
     from telewide.depth.pin import parse_known_distance
     from telewide.stages.depth import DepthOptions
-    from telewide.stages.match import METHODS
 
-    check_device(device)
-    if method not in METHODS:
-        raise UsageError(f"--method {method}: expected {', '.join(METHODS)}")
     if weights is not None and not weights.is_file():
         raise UsageError(f"{weights} does not exist; a weights file was expected")
     trusts_focus = distance == "exif"

@@ -16,7 +16,6 @@ from telewide.cli.arguments import (
     RigOption,
     SeedOption,
     SetOption,
-    check_device,
 )
 from telewide.cli.console import console_observer, print_json
 from telewide.text import command_line
@@ -38,14 +37,19 @@ def train(
     quiet: QuietOption = False,
 ) -> None:
     """Train a stereo network on your own captures, without labels; run again to continue."""
-    from telewide.pipeline import train_captures
-    from telewide.recipe import load_recipe
+    from telewide.api import train as train_network
 
-    check_device(device)
-    resolved = load_recipe(recipe, settings=settings or (), seed=seed)
     with console_observer(is_quiet=quiet) as observer:
-        outcome = train_captures(
-            captures, run=out, recipe=resolved, fresh=fresh, device=device, observer=observer, rig=rig
+        outcome = train_network(
+            captures,
+            run=out,
+            recipe=recipe,
+            settings=settings or (),
+            seed=seed,
+            rig=rig,
+            device=device,
+            fresh=fresh,
+            observer=observer,
         )
         named = () if captures == Path("captures") else (captures,)
         observer.said(f"weights: {outcome.weights}")

@@ -2,7 +2,7 @@
 
     boards/ ── find ── which board ── corners of every photo ── solve ── rig.yaml + rig_report.html
 
-Whoever calls hears of the progress through a :class:`CalibrationObserver`. A rig that is not good enough is written
+Whoever calls hears of the progress through a :class:`Observer`. A rig that is not good enough is written
 too, marked so; it is for the caller to refuse it.
 """
 
@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Protocol
 
 from telewide.boards.board import Board, board_points_m, load_board, resized_board
 from telewide.boards.photo_facts import with_checked_facts
@@ -32,21 +31,12 @@ from telewide.errors import InputError, TelewideError
 from telewide.geometry.stereo import FloatMap
 from telewide.pages.report import NextStep
 from telewide.pages.rig_report import write_rig_report
+from telewide.stages.observer import Observer
 from telewide.text import Call, command_line, counted
 
 BOARDS_FOLDER = Path("boards")
 CAPTURES_FOLDER = Path("captures")
 _PREVIEW_WIDTH_PX = 1000
-
-
-class CalibrationObserver(Protocol):
-    """Hears what a calibration does."""
-
-    def said(self, message: str) -> None:
-        """Something worth a line."""
-
-    def detecting(self, total: int) -> Callable[[], None]:
-        """The board is about to be looked for in ``total`` shots; the answer is called after each."""
 
 
 @dataclass(frozen=True)
@@ -88,14 +78,42 @@ class CalibrationRun:
 
 
 @dataclass(frozen=True)
-class _ChosenBoard:
+class ChosenBoard:
+    """The board that the photos show.
+
+    Attributes:
+        name: its name or file.
+        board: at the size of the print.
+        is_measured: whether somebody measured that size.
+        notes: what a person should know.
+    """
+
     name: str
     board: Board
     is_measured: bool
     notes: tuple[str, ...]
 
 
-def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: CalibrationObserver) -> CalibrationRun:
+@dataclass(frozen=True)
+class SolvedBoards:
+    """A calibration and the photos it was made from.
+
+    Attributes:
+        shots: the photos.
+        calibration: the rig and all that is known about it.
+        board: what the photos show.
+        facts: how the rig was made.
+        notes: what a person should know, one sentence each.
+    """
+
+    shots: tuple[BoardShot, ...]
+    calibration: Calibration
+    board: ChosenBoard
+    facts: RigFacts
+    notes: tuple[str, ...]
+
+
+def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Observer) -> CalibrationRun:
     """Calibrate two lenses from photos of a board, and write the rig and its report.
 
     Args:
@@ -105,6 +123,27 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
 
     Returns:
         The calibration, of any verdict, with the files written.
+
+    Raises:
+        UsageError: no such folder or board, or a size no board has.
+        InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
+    """
+    solved = calibrate_shots(boards, options=options, observer=observer)
+    write_rig(options.out, solved.calibration, facts=solved.facts)
+    report = _write_report(boards, solved, options=options)
+    return CalibrationRun(solved.calibration, options.out, report, solved.facts, solved.notes)
+
+
+def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observer) -> SolvedBoards:
+    """Calibrate two lenses from photos of a board; nothing is written.
+
+    Args:
+        boards: folder of the photos, in one of the layouts of `telewide.boards.shots`.
+        options: board and size.
+        observer: is told of the progress.
+
+    Returns:
+        The calibration, of any verdict.
 
     Raises:
         UsageError: no such folder or board, or a size no board has.
@@ -133,9 +172,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Calib
         board=chosen.name,
         notes=chosen.notes,
     )
-    write_rig(options.out, calibration, facts=facts)
-    report = _write_report(boards, shots, calibration, chosen=chosen, options=options)
-    return CalibrationRun(calibration, options.out, report, facts, notes)
+    return SolvedBoards(shots, calibration, chosen, facts, notes)
 
 
 def _focus_distance_m(shots: Sequence[BoardShot]) -> float | None:
@@ -153,7 +190,7 @@ def _paths(shots: Sequence[BoardShot]) -> list[Path]:
     return [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
 
 
-def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observer: CalibrationObserver) -> _ChosenBoard:
+def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observer: Observer) -> ChosenBoard:
     others: tuple[str, ...] = ()
     if options.board is not None:
         name, board = options.board, load_board(options.board)
@@ -162,23 +199,17 @@ def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observe
         name, board, others = recognised.name, recognised.board, recognised.same_pattern
         observer.said(f"the photos show the board {name}")
     if options.square_m is not None:
-        return _ChosenBoard(name, resized_board(board, square_m=options.square_m), True, ())
+        return ChosenBoard(name, resized_board(board, square_m=options.square_m), True, ())
     also = "".join(f"; {other} looks the same with {load_board(other).square_m * 1e3:g} mm" for other in others)
     note = (
         f"the squares are taken as {board.square_m * 1e3:g} mm, the nominal size of {name}{also}: metres are only as "
         "true as that; measure a square of your print and give --square-m"
     )
-    return _ChosenBoard(name, board, False, (note,))
+    return ChosenBoard(name, board, False, (note,))
 
 
-def _write_report(
-    boards: Path,
-    shots: Sequence[BoardShot],
-    calibration: Calibration,
-    *,
-    chosen: _ChosenBoard,
-    options: CalibrateOptions,
-) -> Path:
+def _write_report(boards: Path, solved: SolvedBoards, *, options: CalibrateOptions) -> Path:
+    calibration, chosen = solved.calibration, solved.board
     path = options.out.with_name(f"{options.out.stem}_report.html")
     square = "measured" if chosen.is_measured else "nominal, not measured"
     facts = {
@@ -187,7 +218,7 @@ def _write_report(
         "rig": options.out.name,
         "telewide": metadata.version("telewide"),
     }
-    rectified = _rectified_shot(shots, calibration)
+    rectified = _rectified_shot(solved.shots, calibration)
     steps = _next_steps(boards, calibration, options)
     return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
 

@@ -46,7 +46,8 @@ from telewide.pages.report import NextStep
 from telewide.pages.scenes_report import SceneView, write_scenes_report
 from telewide.points.matches import Matches
 from telewide.points.photo_matches import find_photo_matches
-from telewide.stages.calibrate import CalibrationObserver, stated_rig
+from telewide.stages.calibrate import stated_rig
+from telewide.stages.observer import Observer
 from telewide.text import Call, command_line, counted
 
 FloatArray = NDArray[np.float64]
@@ -113,7 +114,7 @@ class _Matched:
         return tuple(n for n, matches in enumerate(self.scenes) if len(matches) >= MIN_SCENE_MATCHES)
 
 
-def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: CalibrationObserver) -> SceneRun:
+def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observer) -> SceneRun:
     """Find a rig from captures of ordinary scenes, and write it and a page about it.
 
     Args:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.pair import CaptureSet, find_captures
+from telewide.cores import Device
 from telewide.recipe import Recipe
 from telewide.stages.observer import Observer
 from telewide.stages.pairs import PreparedSet
@@ -37,7 +38,7 @@ class Call:
     captures: CaptureSet
     folder: RunFolder
     recipe: Recipe
-    device: str
+    device: Device
     processes: Processes
     observer: Observer
     rig: StoredRig | None
@@ -47,7 +48,7 @@ class Call:
 
 @contextmanager
 def begun(
-    captures_root: Path, *, run: Path | None, recipe: Recipe, device: str, observer: Observer, rig: Path | None
+    captures_root: Path, *, run: Path | None, recipe: Recipe, device: Device, observer: Observer, rig: Path | None
 ) -> Iterator[Call]:
     """Find captures, run folder and rig, and join the processes that work on them.
 

@@ -167,12 +167,7 @@ def _compute(
     working = match(pair.tele, pair.wide)
     numbers = {"match_s": time.monotonic() - begun_s}
     photo = read_image(source.tele_path)
-    if shot is None:
-        result = depth_result(source.name, on_photo(working, photo), facts=facts)
-        metric_notes: tuple[str, ...] = ()
-        withheld = None
-    else:
-        result, metric_notes, withheld = _result_of_shot(source.name, working, photo, shot=shot)
+    result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     truth_px = read_truth(source, hw=photo.shape[:2])
     if truth_px is not None and not np.isfinite(truth_px).any():
@@ -218,6 +213,26 @@ def _write(folder: Path, computed: _Computed) -> KeptDepth:
     elif computed.bokeh_note is not None or before != fingerprint(disparity_path):
         bokeh_path.unlink(missing_ok=True)  # of another blur, or of another depth
     return KeptDepth(tuple(names), notes, computed.numbers, computed.withheld)
+
+
+def depth_on_photo(
+    working: DisparityMap, photo: FloatMap, *, name: str, facts: CaptureFacts, shot: ShotGeometry | None = None
+) -> tuple[DepthResult, tuple[str, ...], str | None]:
+    """Bring what was matched to the tele photo as it was taken, and into metres where the scale is known.
+
+    Args:
+        working: disparity of the views that were matched.
+        photo: (H, W, 3) the tele photo, RGB in [0, 1].
+        name: of the capture.
+        facts: what the owner states; they count where no rig does.
+        shot: how the views lie to the photo; None for photos that were rectified when they came.
+
+    Returns:
+        The result, what a person should know of its metres, and why it has none where they would mean nothing.
+    """
+    if shot is None:
+        return depth_result(name, on_photo(working, photo), facts=facts), (), None
+    return _result_of_shot(name, working, photo, shot=shot)
 
 
 def _result_of_shot(

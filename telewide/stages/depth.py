@@ -12,9 +12,11 @@ from pathlib import Path
 from telewide.bokeh.picture import BokehOptions, check_bokeh
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Problem
+from telewide.cores import Device
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, read_json
+from telewide.matching.methods import Method
 from telewide.matching.window import Window, joined_window
 from telewide.options import parse_options
 from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
@@ -34,7 +36,7 @@ class DepthOptions:
     """What ``telewide depth`` was asked for.
 
     Attributes:
-        method: one of `telewide.stages.match.METHODS`.
+        method: how to match.
         weights: a weights file, or None for the run's newest.
         bokeh: None for no bokeh picture.
         out: folder for the results, or None for ``depth/`` of the run.
@@ -44,11 +46,11 @@ class DepthOptions:
         trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
     """
 
-    method: str = "joint"
+    method: Method = "joint"
     weights: Path | None = None
     bokeh: BokehOptions | None = None
     out: Path | None = None
-    device: str = "auto"
+    device: Device = "auto"
     rig: Path | None = None
     known: KnownDistance | None = None
     trusts_focus: bool = False

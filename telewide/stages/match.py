@@ -7,9 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint
 from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.options import parse_options
@@ -21,8 +23,6 @@ from telewide.training.options import WEIGHTS_NAME
 
 if TYPE_CHECKING:
     from telewide.training.checkpoint import WeightsCard
-
-METHODS = ("joint", "network", "sgm")
 
 
 class Match(Protocol):
@@ -49,12 +49,12 @@ class Matcher:
     doubt: str | None = None
 
 
-def choose_matcher(call: Call, *, method: str, weights: Path | None) -> Matcher:
+def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Matcher:
     """Take the matcher of a call by name; a network is read, and it is said where its training is not finished.
 
     Args:
         call: its run's newest weights are taken where none are named.
-        method: one of `METHODS`.
+        method: how to match.
         weights: a weights file, or None.
 
     Returns:
@@ -77,23 +77,26 @@ def choose_matcher(call: Call, *, method: str, weights: Path | None) -> Matcher:
     return matcher
 
 
-def read_matcher(weights: Path, *, method: str, device: str) -> Matcher:
+def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Matcher:
     """Read a matcher.
 
     Args:
-        weights: a weights file; without a say where the method needs none.
-        method: one of `METHODS`.
+        weights: a weights file; None where the method needs none.
+        method: how to match.
         device: of a network: auto, cpu or cuda.
 
     Returns:
         The matcher; its doubt tells of weights whose training is not finished.
 
     Raises:
+        UsageError: a network without weights.
         InputError: the weights cannot be read.
         MissingPartError: cuda was asked for and is not there.
     """
     if method == "sgm":
         return Matcher(match_semiglobal, "sgm")
+    if weights is None:
+        raise UsageError(f"method {method} needs the weights of a network")
     from telewide.matching.inference import choose_device, match_with_network
     from telewide.matching.joint import match_jointly
     from telewide.training.checkpoint import load_weights

@@ -1,4 +1,4 @@
-"""Who hears what a pipeline does: whoever calls hands in an :class:`Observer`, and nothing below prints."""
+"""Progress of the stages, told to whoever called: nothing below prints."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from telewide.capture.pair import CaptureSet, Problem
 from telewide.correction.verdict import PairReport
 from telewide.stages.capture_depth import DepthOutcome
 from telewide.stages.pairs import PreparedSet
+from telewide.training.reporter import Reporter
 
 if TYPE_CHECKING:
     from telewide.matching.networks import StereoNetwork
@@ -16,23 +17,11 @@ if TYPE_CHECKING:
     from telewide.training.stages import Stage
 
 
-class Observer(Protocol):
-    """Hears what a pipeline does; its first five are what the training loop tells its reporter."""
+class Observer(Reporter, Protocol):
+    """Receives the progress of a pipeline or of a calibration; all of a training's reporter, and the other stages."""
 
-    def stage_started(self, stage: Stage, *, first_step: int) -> None:
-        """A stage of the training begins, or goes on at ``first_step``."""
-
-    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
-        """``step`` steps of the stage are done."""
-
-    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        """The held-out matches were asked."""
-
-    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
-        """A stage is done."""
-
-    def said(self, message: str) -> None:
-        """Something worth a line."""
+    def detecting(self, total: int) -> Callable[[], None]:
+        """Boards or matches are about to be looked for in ``total`` shots; the answer is called after each."""
 
     def preparing(self, captures: CaptureSet) -> None:
         """The captures of a set are about to be corrected."""
@@ -57,3 +46,55 @@ class Observer(Protocol):
 
     def depth_failed(self, problem: Problem) -> None:
         """One capture was skipped."""
+
+
+class Silent:
+    """An observer that does nothing; subclasses override what they want to know."""
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        """Ignore it."""
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        """Ignore it."""
+
+    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
+        """Ignore it."""
+
+    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
+        """Ignore it."""
+
+    def said(self, message: str) -> None:
+        """Ignore it."""
+
+    def detecting(self, total: int) -> Callable[[], None]:
+        """Ignore it."""
+        return _nothing
+
+    def preparing(self, captures: CaptureSet) -> None:
+        """Ignore it."""
+
+    def pair_prepared(self, report: PairReport | None) -> None:
+        """Ignore it."""
+
+    def set_prepared(self, prepared: PreparedSet) -> None:
+        """Ignore it."""
+
+    def searching(self, window: Window) -> None:
+        """Ignore it."""
+
+    def labelling(self, total: int) -> Callable[[], None]:
+        """Ignore it."""
+        return _nothing
+
+    def matching(self, total: int, *, method: str) -> None:
+        """Ignore it."""
+
+    def depth_written(self, outcome: DepthOutcome) -> None:
+        """Ignore it."""
+
+    def depth_failed(self, problem: Problem) -> None:
+        """Ignore it."""
+
+
+def _nothing() -> None:
+    pass

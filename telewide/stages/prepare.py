@@ -15,7 +15,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -63,6 +63,21 @@ RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
 MATCHES_NAME = "matches.npz"
 _MOST_BYTES_OF_MATCHES = 1 << 26
+
+
+@dataclass(frozen=True)
+class CorrectedShot:
+    """A shot whose two views can be compared.
+
+    Attributes:
+        corrected: the pair at its working size, with its matches.
+        report: what was measured, and a verdict.
+        alignment: how the pair lies to the photos; None where they were rectified when they came.
+    """
+
+    corrected: CorrectedPair
+    report: PairReport
+    alignment: Alignment | None
 
 
 Tick = Callable[[PairReport | None], None]
@@ -171,20 +186,14 @@ def _prepare_pair(
     if rig is None and not facts.rectified:
         _refuse_to_lose_the_rig(folder, key)
     (pair, scale), alignment = _rectified(capture, facts, recipe=recipe, rig=rig)
-    matches = find_matches(pair.tele, pair.wide)
-    focal_lengths_mm = (focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path))
-    stated = facts if alignment is None else dataclasses.replace(facts, rectified=True)
-    report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
-    if alignment is not None:
-        report = with_doubts(report, alignment.notes)
-    corrected = correct_pair(
+    shot = correct_shot(
         pair,
-        matches=matches,
-        seed=recipe.seed,
-        # What the fit of this shot has left is not worth a second resampling.
-        has_vertical=recipe.correction.vertical and not (alignment and alignment.refinement.is_fitted),
-        has_colour=recipe.correction.colour,
+        alignment,
+        facts=facts,
+        recipe=recipe,
+        focal_lengths_mm=(focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path)),
     )
+    report, corrected = shot.report, shot.corrected
     # Whatever happens until the new record is written, the old one must not vouch for new files.
     (folder / RECORD_NAME).unlink(missing_ok=True)
     _write_pair(folder, corrected)
@@ -208,6 +217,42 @@ def _prepare_pair(
     if kept is None:
         raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
     return kept
+
+
+def correct_shot(
+    pair: RectifiedPair,
+    alignment: Alignment | None,
+    *,
+    facts: CaptureFacts,
+    recipe: Recipe,
+    focal_lengths_mm: tuple[float | None, float | None] = (None, None),
+) -> CorrectedShot:
+    """Measure and judge a pair at its working size, and bring wide's rows and colours to tele's.
+
+    Args:
+        pair: two views of one size.
+        alignment: how they lie to the photos; None for photos that were rectified when they came.
+        facts: what the owner states.
+        recipe: what is corrected; its seed splits the matches.
+        focal_lengths_mm: of tele's and wide's lens as EXIF states them.
+
+    Returns:
+        The corrected pair with its report, of any verdict.
+    """
+    matches = find_matches(pair.tele, pair.wide)
+    stated = facts if alignment is None else dataclasses.replace(facts, rectified=True)
+    report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
+    if alignment is not None:
+        report = with_doubts(report, alignment.notes)
+    corrected = correct_pair(
+        pair,
+        matches=matches,
+        seed=recipe.seed,
+        # What the fit of this shot has left is not worth a second resampling.
+        has_vertical=recipe.correction.vertical and not (alignment and alignment.refinement.is_fitted),
+        has_colour=recipe.correction.colour,
+    )
+    return CorrectedShot(corrected, report, alignment)
 
 
 def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
@@ -236,7 +281,7 @@ def _rectified(
 ) -> tuple[tuple[RectifiedPair, float], Alignment | None]:
     """The pair at its working size, with the scale of that; how it lies to the photos, where a rig was needed."""
     if rig is None:
-        return _at_working_size(read_pair(capture, facts=facts), recipe.working_width_px), None
+        return at_working_size(read_pair(capture, facts=facts), recipe.working_width_px), None
     if rig.facts.image_pipeline is not None:
         for path in (capture.tele_path, capture.wide_path):
             conflict = pipeline_conflict(rig.facts.image_pipeline, image_pipeline(path))
@@ -323,7 +368,16 @@ def _read_held_out(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return ref_px, src_px
 
 
-def _at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:
+def at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:
+    """Shrink a pair that is wider than the working size.
+
+    Args:
+        pair: two views of one size.
+        width_px: the largest width to match at.
+
+    Returns:
+        The pair, and its scale: px of it for one px of the given pair.
+    """
     height, width = pair.tele.shape[:2]
     if width <= width_px:
         return pair, 1.0

@@ -47,9 +47,10 @@ from telewide.training.checkpoint import (
 )
 from telewide.training.judge import network_judge
 from telewide.training.log import read_log
-from telewide.training.loop import Reporter, Training
+from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
+from telewide.training.reporter import Reporter
 from telewide.training.samples import CropArea, SampleSource
 from telewide.training.stages import Stage, plan_stages
 

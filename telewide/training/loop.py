@@ -13,7 +13,6 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
 
 import torch
 
@@ -36,6 +35,7 @@ from telewide.training.data import StepBatches, iterate_batches
 from telewide.training.objective import Batch, objective
 from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
+from telewide.training.reporter import Reporter
 from telewide.training.samples import SampleSource
 from telewide.training.stages import Stage, plan_stages
 
@@ -52,25 +52,6 @@ DECISIVE = "clipped_px"
 """The figure of a judgement that decides: shares of wrong matches stand still where the matches' own errors begin."""
 
 Judge = Callable[[StereoNetwork], Mapping[str, float]]
-
-
-class Reporter(Protocol):
-    """Hears how the training goes."""
-
-    def stage_started(self, stage: Stage, *, first_step: int) -> None:
-        """A stage begins, or goes on at ``first_step``."""
-
-    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
-        """``step`` steps of the stage are done."""
-
-    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        """The held-out matches were asked."""
-
-    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
-        """A stage is done; ``network`` is its result."""
-
-    def said(self, message: str) -> None:
-        """Something worth a line."""
 
 
 @dataclass(frozen=True)

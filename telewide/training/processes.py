@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import TYPE_CHECKING, TypeVar
 
+from telewide.cores import Device
+
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
@@ -105,7 +107,7 @@ def this_process() -> Processes:
 
 
 @contextmanager
-def joined_processes(device: str) -> Iterator[Processes]:
+def joined_processes(device: Device) -> Iterator[Processes]:
     """Join the group ``torchrun`` started, if it did.
 
     Args:

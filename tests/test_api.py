@@ -1,0 +1,83 @@
+"""The public interface: one way with the command line, examples that run, and nothing heavy on import."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from source import modules_loaded_by
+
+import telewide
+from telewide import api
+from telewide.capture.images import read_image, read_pfm
+from telewide.cli import main
+from telewide.errors import UsageError
+
+FUNCTIONS = [name for name in telewide.__all__ if not name.startswith("_")]
+SLOW = {"calibrate", "train"}
+
+
+def test_import_loads_nothing_heavy_and_offers_all() -> None:
+    loaded = modules_loaded_by("import telewide; assert 'train' in dir(telewide)")
+    assert not loaded & {"numpy", "cv2", "torch", "telewide.api"}
+    assert [name for name in FUNCTIONS if getattr(telewide, name) is not getattr(api, name)] == []
+    with pytest.raises(AttributeError, match="resolve"):
+        telewide.resolve  # noqa: B018
+
+
+def run_example(name: str, repo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(repo)
+    found = doctest.DocTestFinder(recurse=False).find(getattr(api, name), name)
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    assert found
+    assert all(test.examples for test in found)
+    assert [runner.run(test).failed for test in found] == [0] * len(found)
+
+
+@pytest.mark.parametrize("name", [name for name in FUNCTIONS if name not in SLOW])
+def test_the_example_of_each_function_runs(name: str, repo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_example(name, repo, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(SLOW))
+def test_the_longer_examples_run(name: str, repo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_example(name, repo, monkeypatch)
+
+
+def test_the_example_script_runs(
+    repo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["first_steps.py", str(tmp_path)])
+    runpy.run_path(str(repo / "examples" / "first_steps.py"))
+    said = capsys.readouterr().out
+    assert "median depth" in said
+    assert read_image(tmp_path / "bokeh.png").shape[2] == 3
+
+
+def test_depth_is_that_of_the_command_line(repo: Path, tmp_path: Path) -> None:
+    capture = repo / "examples" / "captures" / "001"
+    with pytest.raises(SystemExit) as left:
+        main(["depth", str(capture), "--method", "sgm", "--out", str(tmp_path), "--run", str(tmp_path / "run"), "-q"])
+    assert not left.value.code
+    depth = telewide.estimate_depth(telewide.read_pair(capture))
+    apart_px = np.abs(depth.disparity.disparity_px - read_pfm(tmp_path / "001" / "disparity.pfm"))
+    # The command keeps the corrected pair as pictures of 8 bits; what they round moves some pixels.
+    assert np.median(apart_px) < 0.03
+    assert np.mean(apart_px < 0.25) > 0.95
+
+
+def test_a_folder_of_many_captures_is_refused(repo: Path) -> None:
+    with pytest.raises(UsageError, match="holds 10 captures"):
+        telewide.read_pair(os.fspath(repo / "examples" / "captures"))
+
+
+def test_a_network_needs_weights(repo: Path) -> None:
+    photos = telewide.read_pair(repo / "examples" / "captures" / "000")
+    with pytest.raises(UsageError, match="weights"):
+        telewide.estimate_depth(photos, method="joint")
