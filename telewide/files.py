@@ -19,11 +19,12 @@ import os
 import platform
 import re
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import NoReturn
 
 import yaml
 
@@ -42,7 +43,7 @@ _TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
 _TOO_MANY = f"it holds more than {MAX_YAML_NODES} values"
 
 
-def open_regular(path: Path) -> BinaryIO:
+def open_regular(path: Path) -> io.BufferedReader:
     """Open a regular file for reading; links to one are followed.
 
     Args:
@@ -276,10 +277,10 @@ def replacing(path: Path) -> Iterator[Path]:
         TelewideError: the disk is full.
         UsageError: the place cannot be written.
     """
-    temporary = path.with_name(f".telewide-{_host()}-{os.getpid()}-{secrets.token_hex(6)}{path.suffix}")
+    temporary = path.with_name(temporary_name(path.suffix))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(path.parent)
+        remove_leftovers(path.parent)
         yield temporary
         _flush_to_disk(temporary)
         temporary.replace(path)
@@ -291,13 +292,21 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def _remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of this machine's dead processes; those of living ones, and of others', stay."""
+def temporary_name(suffix: str) -> str:
+    """Return a name that nobody can foresee and that says which process writes there; it ends in the suffix."""
+    return f".telewide-{_host()}-{os.getpid()}-{secrets.token_hex(6)}{suffix}"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files and folders of this machine's dead processes; those of all others stay."""
     with suppress(OSError):  # tidying is not worth a failure
         for entry in folder.iterdir():
             name = _TEMPORARY.fullmatch(entry.name)
             if name and name["host"] == _host() and not _is_running(int(name["pid"])):
-                entry.unlink(missing_ok=True)
+                if entry.is_dir() and not entry.is_symlink():
+                    shutil.rmtree(entry)  # follows no links
+                else:
+                    entry.unlink(missing_ok=True)
 
 
 def _host() -> str:
@@ -338,9 +347,10 @@ def fingerprint(path: Path) -> str:
 
     Raises:
         UsageError: there is no such file, or it cannot be opened.
+        InputError: it is no regular file.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror or error}") from error

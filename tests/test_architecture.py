@@ -29,6 +29,7 @@ LAYERS = {
     "assets": 0,
     "cores": 0,
     "files": 0,
+    "folders": 0,
     "metrics": 0,
     "srgb": 0,
     "text": 0,

@@ -29,6 +29,7 @@ from telewide.capture.lens_choice import ChosenLenses, LensChoice
 from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import read_json, replacing, write_text
+from telewide.folders import fresh_folder
 
 FORMAT = 1
 PAIR_FILE = "pair.json"
@@ -116,19 +117,16 @@ def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick
         InputError: a photo cannot be read.
     """
     for done, planned in enumerate(plan.pairs, start=1):
-        partial = captures / f".{planned.name}.partial"
-        shutil.rmtree(partial, ignore_errors=True)
         try:
-            entries = {
-                view: _bring(photo, partial, view, is_linked=is_linked)
-                for view, photo in (("tele", planned.pair.tele), ("wide", planned.pair.wide))
-            }
-            write_text(partial / PAIR_FILE, _record(planned, entries))
-            partial.rename(captures / planned.name)
+            with fresh_folder(captures) as partial:
+                entries = {
+                    view: _bring(photo, partial, view, is_linked=is_linked)
+                    for view, photo in (("tele", planned.pair.tele), ("wide", planned.pair.wide))
+                }
+                write_text(partial / PAIR_FILE, _record(planned, entries))
+                partial.rename(captures / planned.name)
         except OSError as error:
             raise UsageError(f"{captures / planned.name} cannot be written: {error.strerror or error}") from error
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
         if tick is not None:
             tick(done, len(plan.pairs))
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.pair import CaptureSet, find_captures
 from telewide.cores import Device
+from telewide.folders import alone_in, refuse_links
 from telewide.recipe import Recipe
 from telewide.stages.observer import Observer
 from telewide.stages.pairs import PreparedSet
@@ -50,7 +51,7 @@ class Call:
 def begun(
     captures_root: Path, *, run: Path | None, recipe: Recipe, device: Device, observer: Observer, rig: Path | None
 ) -> Iterator[Call]:
-    """Find captures, run folder and rig, and join the processes that work on them.
+    """Find captures, run folder and rig, wait until nobody else works there, and join the processes.
 
     Args:
         captures_root: folder of the captures.
@@ -65,12 +66,17 @@ def begun(
 
     Raises:
         UsageError: a folder or file that is not there.
-        InputError: photos straight from a phone have no rig.
+        InputError: photos straight from a phone have no rig; a folder in the run folder is a link.
     """
     folder, captures = locate_run(run, captures_root), find_captures(captures_root)
     found_rig = locate_rig(rig, captures)
     refuse_without_rig(captures, rig=found_rig)
-    with joined_processes(device) as processes:
+    for place in (folder.pairs, folder.train, folder.depth):
+        refuse_links(folder.root, place)
+    with joined_processes(device) as processes, ExitStack() as held:
+        if processes.is_writer:
+            held.enter_context(alone_in(folder.root, waiting=observer.said))
+        processes.wait()
         yield Call(captures, folder, recipe, device, processes, observer, found_rig, rig)
 
 

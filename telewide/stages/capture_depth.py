@@ -28,6 +28,7 @@ from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError, within_memory
 from telewide.files import fingerprint
+from telewide.folders import refuse_links
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error
@@ -126,6 +127,7 @@ def depth_of_capture(
         cannot be used: one bad capture does not stop the others.
     """
     try:
+        refuse_links(folder.parent, folder)
         lying = made = read_kept(folder, key)
         if made is None:
             with within_memory("its depth"):

@@ -37,6 +37,7 @@ from telewide.correction.verdict import (
 )
 from telewide.errors import InputError, QualityError, TelewideError, UsageError, within_memory
 from telewide.files import fingerprint, read_json, read_regular, replacing, write_text
+from telewide.folders import refuse_links
 from telewide.matching.window import Window
 from telewide.npz import read_npz
 from telewide.plain import from_plain
@@ -56,7 +57,7 @@ from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line, json_text
-from telewide.training.samples import LABELS_PREFIX
+from telewide.training.samples import LABELS_NAME
 
 FORMAT = 6
 RECORD_NAME = "pair.json"
@@ -179,6 +180,7 @@ def _prepare_pair(
     capture: Capture, facts: CaptureFacts, run: RunFolder, *, recipe: Recipe, rig: StoredRig | None
 ) -> PreparedPair:
     folder = run.pairs / capture.name
+    refuse_links(run.root, folder)
     key = _key_of(capture, facts, recipe, rig)
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is not None:
@@ -308,8 +310,9 @@ def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
             fitted_ref_px=corrected.matches_fit.ref_px,
             fitted_src_px=corrected.matches_fit.src_px,
         )
-    for labels in folder.glob(f"{LABELS_PREFIX}*"):
-        labels.unlink()
+    for entry in folder.iterdir():
+        if LABELS_NAME.fullmatch(entry.name):
+            entry.unlink()
 
 
 def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRig | None) -> dict[str, object]:

@@ -87,10 +87,14 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
         The run folder; it need not exist yet.
 
     Raises:
-        UsageError: the place is taken by a file.
+        UsageError: the place is taken by a file, or by a link that nobody named.
     """
     here, beside = Path("run"), captures_root.absolute().parent / "run"
     if run is None:
+        linked = next((place for place in (here, beside) if place.is_symlink()), None)
+        if linked is not None:
+            target = linked.readlink()
+            raise UsageError(f"{linked} is a link to {target}", hint="name the run folder, with --run or --out")
         run = beside if beside.is_dir() and not here.is_dir() else here
     if run.exists() and not run.is_dir():
         raise UsageError(f"{run} is a file; the run folder was expected there", hint="name another folder with --run")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.files import read_json, write_text
+from telewide.folders import append_line
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.matching.window import Window, check_stated_window
@@ -55,6 +57,9 @@ from telewide.training.samples import CropArea, SampleSource
 from telewide.training.stages import Stage, plan_stages
 
 FORMAT = 1
+_OWN_FILES = re.compile(
+    r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|feature-\d+)\.(png|safetensors)"
+)
 LOG_EVERY_STEPS = 10
 FEWEST_TO_HOLD_OUT = 5
 """With fewer captures a strip of each is held out instead of whole ones."""
@@ -335,10 +340,10 @@ def _outcome(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_
 
 
 def _forget(run: RunFolder) -> None:
-    """Remove the files a training wrote, and nothing else that may lie there."""
+    """Remove the files a training wrote, by their names, and nothing else that may lie there."""
     if run.train.is_dir():
         for path in run.train.iterdir():
-            if path.is_file() and path.suffix in {".pt", ".safetensors", ".json", ".jsonl", ".png"}:
+            if _OWN_FILES.fullmatch(path.name) and not path.is_dir():
                 path.unlink()
 
 
@@ -409,11 +414,9 @@ class _LoggedReporter:
     def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
         if not self.is_writer:
             return
-        path = self.run.training_log
-        path.parent.mkdir(parents=True, exist_ok=True)
+        self.run.train.mkdir(parents=True, exist_ok=True)
         line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
-        with path.open("a", encoding="utf-8") as log:
-            log.write(json.dumps(line) + "\n")
+        append_line(self.run.training_log, json.dumps(line))
 
     def _rows(self, network: StereoNetwork) -> list[ContactRow]:
         reader = PairReader(max_bytes=0)

@@ -7,6 +7,7 @@ Letters: H W crop.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -29,7 +30,7 @@ _ZOOM = (0.75, 1.2)
 """Enlargement of a crop of a capture. Above 1 disparities grow, and the margin of the window has to hold them."""
 
 
-LABELS_PREFIX = "labels_"
+LABELS_NAME = re.compile(r"labels_-?\d+_-?\d+\.pfm")
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class SampleSource:
 
 def labels_path(folder: Path, *, window_px: tuple[int, int]) -> Path:
     """Where the confident disparities of a pair lie: a search of another window finds others."""
-    return folder / f"{LABELS_PREFIX}{window_px[0]}_{window_px[1]}.pfm"
+    return folder / f"labels_{window_px[0]}_{window_px[1]}.pfm"
 
 
 def generator_for(seed: int, *salt: int) -> np.random.Generator:

@@ -1,0 +1,127 @@
+"""Folders that somebody else may have prepared, or is writing to: no link in them is followed, one command at a time.
+
+A shared run folder may hold links that lead out of it. Below the folder that a user named nothing is written or removed
+through one.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from telewide.errors import InputError, UsageError
+from telewide.files import remove_leftovers, temporary_name
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+
+def refuse_links(root: Path, path: Path) -> None:
+    """Refuse a path that is reached by a link.
+
+    Args:
+        root: the folder its user named; it may be a link itself.
+        path: below it; it need not exist.
+
+    Raises:
+        InputError: one of the folders below the root is a link.
+    """
+    place = root
+    for part in path.relative_to(root).parts:
+        place = place / part
+        if place.is_symlink():
+            raise InputError(
+                f"{place} is a link; nothing is written or removed through links below {root}",
+                hint=f"remove the link, or name another folder than {root}",
+            )
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append a line to a file of a folder that exists; it is made where it is not there.
+
+    Args:
+        path: the file.
+        line: without its end.
+
+    Raises:
+        InputError: it is a link.
+        UsageError: it cannot be written.
+    """
+    if path.is_symlink():
+        raise InputError(f"{path} is a link; nothing is written through links", hint="remove the link")
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        with os.fdopen(descriptor, "a", encoding="utf-8") as stream:
+            stream.write(f"{line}\n")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+@contextmanager
+def fresh_folder(parent: Path) -> Iterator[Path]:
+    """Make a new folder to be filled and renamed; what is left of it in the end is removed.
+
+    Args:
+        parent: is made where it is not there; what killed processes have left there is removed.
+
+    Yields:
+        The folder, of a name nobody can have foreseen.
+
+    Raises:
+        UsageError: the place cannot be written.
+    """
+    folder = parent / temporary_name(".partial")
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(parent)
+        folder.mkdir()
+    except OSError as error:
+        raise UsageError(f"{parent} cannot be written: {error.strerror or error}") from error
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)  # follows no links
+
+
+@contextmanager
+def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
+    """Work in a folder while no other telewide does; wait for one that does.
+
+    Args:
+        folder: is made where it is not there.
+        waiting: is told when there is something to wait for.
+
+    Raises:
+        UsageError: the folder cannot be made.
+    """
+    is_new = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be made: {error.strerror or error}") from error
+    try:
+        _lock(descriptor, folder, waiting)
+        yield
+    finally:
+        os.close(descriptor)  # ends the lock, as the end of the process does
+        if is_new:
+            with suppress(OSError):
+                folder.rmdir()  # nothing was written
+
+
+def _lock(descriptor: int, folder: Path, waiting: Callable[[str], None]) -> None:
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        waiting(f"another telewide works in {folder}; waiting until it is done")
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    except OSError:  # a file system without locks
+        return
