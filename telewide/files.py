@@ -326,14 +326,14 @@ def _is_running(pid: int) -> bool:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in UTF-8, whole or not at all.
+    """Write a text file in UTF-8, whole or not at all; bytes of file names that are no UTF-8 are written as escapes.
 
     Args:
         path: the file to write or to replace.
         text: its new content.
     """
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def fingerprint(path: Path) -> str:

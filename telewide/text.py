@@ -1,12 +1,16 @@
-"""Words and numbers as telewide writes them: counts, JSON, commands to type."""
+"""Words and numbers as telewide writes them: counts, JSON, commands to type, nothing a terminal obeys."""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+# C0 but for tab and line feed, DEL, C1, line and paragraph separators, marks of direction, halves of a surrogate pair.
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def counted(number: int, noun: str) -> str:
@@ -19,6 +23,28 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def printable(text: str) -> str:
+    r"""Show what a terminal would obey instead of print: control characters (C0, DEL, C1) and marks that turn writing.
+
+    Names of photos, notes of a rig and EXIF come from other people; raw, they could rename the window, clear the screen
+    or write to the clipboard.
+
+    Args:
+        text: to be shown to a person; line ends and tabs stay.
+
+    Returns:
+        The text with ``\x1b`` for an escape character, and so on; bytes of a file name that are no UTF-8 likewise.
+    """
+    return _UNPRINTABLE.sub(lambda found: _named(found[0]), text)
+
+
+def _named(character: str) -> str:
+    code = ord(character)
+    if 0xDC80 <= code <= 0xDCFF:  # how Python keeps a byte of a file name that is no UTF-8
+        code -= 0xDC00
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+
+
 def json_text(value: object, *, indent: int | None = None) -> str:
     """Write plain data as JSON.
 
@@ -26,7 +52,8 @@ def json_text(value: object, *, indent: int | None = None) -> str:
         value: mappings, sequences, texts and numbers; NaN and infinity become null, anything else its text.
         indent: columns a level is indented by; None for one line.
     """
-    return json.dumps(_with_finite_numbers(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str)
+    text = json.dumps(_with_finite_numbers(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str)
+    return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _with_finite_numbers(value: object) -> object:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telewide.text import Call, command_line, counted, json_text
+from telewide.text import Call, command_line, counted, json_text, printable
 
 
 def test_one_is_singular_and_no_other_number_is() -> None:
@@ -63,3 +63,21 @@ def test_results_of_depth_are_no_run_folder() -> None:
     depth = Call("depth", ("captures",), {"run": "mine", "out": "results", "focus": "near", "device": "cpu"})
     assert depth.instead("train") == "telewide train captures --out mine --device cpu"
     assert depth.instead("depth", method="sgm") == "telewide depth captures --run mine --device cpu --method sgm"
+
+
+HOSTILE = "a\x1b]0;owned\x07\x1b[2J\x7f\x9b31m\r\u202eb\x00\udcff"
+
+
+def test_what_a_terminal_obeys_is_shown() -> None:
+    assert printable(HOSTILE) == r"a\x1b]0;owned\x07\x1b[2J\x7f\x9b31m\x0d\u202eb\x00\xff"
+    kept = "plain, é, 日本, two\nlines\tand a tab"
+    assert printable(kept) == kept
+    everything = printable("".join(map(chr, range(0x10000))))
+    assert not set(everything) & {chr(code) for code in (*range(9), *range(11, 32), *range(127, 160))}
+    everything.encode()
+
+
+def test_json_holds_nothing_a_terminal_obeys_and_comes_back() -> None:
+    text = json_text({HOSTILE: [HOSTILE]})
+    assert text == printable(text)
+    assert json.loads(text) == {HOSTILE: [HOSTILE]}

@@ -21,7 +21,7 @@ import typer
 from telewide.cli.benchmark import benchmark_app
 from telewide.cli.board import board
 from telewide.cli.calibrate import CALIBRATE_EPILOG, calibrate
-from telewide.cli.console import print_json
+from telewide.cli.console import VisibleFormatter, print_json, say
 from telewide.cli.depth import DEPTH_EPILOG, depth
 from telewide.cli.import_roll import IMPORT_EPILOG, import_photos
 from telewide.cli.run import RUN_EPILOG, run_everything
@@ -30,6 +30,7 @@ from telewide.cli.simulate import SIMULATE_EPILOG, simulate
 from telewide.cli.stopping import INTERRUPTED, UNREAD, terminable
 from telewide.cli.train import TRAIN_EPILOG, train
 from telewide.errors import TelewideError
+from telewide.text import printable
 from telewide.training.processes import this_process
 
 _ISSUES_HINT = "the command and the lines above"
@@ -57,7 +58,7 @@ app.add_typer(benchmark_app, name="benchmark")
 
 def _print_version(is_asked: bool) -> None:
     if is_asked:
-        typer.echo(metadata.version("telewide"))
+        say(metadata.version("telewide"), is_answer=True)
         raise typer.Exit
 
 
@@ -76,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     Args:
         arguments: the words after ``telewide``; None takes them from the process.
     """
-    logging.basicConfig(level=logging.WARNING, format="note: %(message)s", stream=sys.stderr)
+    notes = logging.StreamHandler(sys.stderr)
+    notes.setFormatter(VisibleFormatter("note: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[notes])
     if this_process().world > 1:  # torchrun ends its processes together, and waits for none
         sys.exit(_exit_code(arguments))
     with terminable() as interrupted:
@@ -127,15 +130,16 @@ def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
     with _perhaps_unread(sys.stderr):
         if isinstance(error, TelewideError):
             failure = _Failure(error.message, error.hint, error.exit_code)
-            typer.echo(f"error: {error.message}" + (f"\n  {error.hint}" if error.hint else ""), err=True)
+            say(f"error: {error.message}" + (f"\n  {error.hint}" if error.hint else ""))
         elif isinstance(error, KeyboardInterrupt | typer.Abort):
             failure = _Failure("stopped; what was finished is kept", "run the same command to continue", interrupted())
-            typer.echo(f"{failure.error}, {failure.hint}", err=True)
+            say(f"{failure.error}, {failure.hint}")
         elif callable(show):
             failure = _Failure(str(error), None, int(getattr(error, "exit_code", 2)))
+            vars(error)["message"] = printable(str(getattr(error, "message", error)))
             show()
         else:
             failure = _Failure(f"{type(error).__name__}: {error}", f"please report this: {_ISSUES_HINT}", 1)
-            traceback.print_exception(error)
-            typer.echo(f"this is a fault in telewide, not in your files; please report {_ISSUES_HINT}", err=True)
+            say("".join(traceback.format_exception(error)))
+            say(f"this is a fault in telewide, not in your files; please report {_ISSUES_HINT}")
     return failure

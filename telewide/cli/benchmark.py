@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.arguments import MAX_SEED, DeviceOption, RigOption
-from telewide.cli.console import console_observer
+from telewide.cli.console import console_observer, say
 from telewide.errors import UsageError
 
 if TYPE_CHECKING:
@@ -156,13 +156,13 @@ def _folder_or_temporary(folder: Path | None) -> Iterator[Path]:
 
 
 def _tell(message: str) -> None:
-    typer.echo(message, err=True)
+    say(message)
 
 
 def _hand_over(report: BenchmarkReport, table: str, json_file: Path | None) -> None:
     from telewide.benchmark.report import write_report_json
 
-    typer.echo(table)
+    say(table, is_answer=True)
     for note in report.notes:
         _tell(f"note: {note}")
     if json_file is not None:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from telewide.cli.arguments import JsonOption, QuietOption
-from telewide.cli.console import print_json
+from telewide.cli.console import print_json, say
 from telewide.errors import UsageError
 from telewide.text import command_line
 
@@ -39,7 +39,7 @@ def board(
         if as_json:
             print_json({"boards": known})
         else:
-            typer.echo("\n".join(f"{name:24}{description}".rstrip() for name, description in known.items()))
+            say("\n".join(f"{name:24}{description}".rstrip() for name, description in known.items()), is_answer=True)
         return
     chosen = load_board(name)
     if square_m is not None:
@@ -51,8 +51,8 @@ def board(
         raise UsageError(f"--out {path}: a board is written as .pdf")
     write_board(path, chosen, name=Path(name).stem)
     if not quiet:
-        typer.echo(f"wrote {path}; print it at 100 % on {chosen.paper} and check its ruler", err=True)
+        say(f"wrote {path}; print it at 100 % on {chosen.paper} and check its ruler")
         told = command_line("calibrate", board=name, square_m="MEASURED")
-        typer.echo(f"next: measure a square, photograph the board, {told}", err=True)
+        say(f"next: measure a square, photograph the board, {told}")
     if as_json:
         print_json({"pdf": str(path), "board": name, "square_m": chosen.square_m, "paper": chosen.paper})

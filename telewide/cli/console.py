@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from telewide.errors import QualityError
-from telewide.text import json_text
+from telewide.text import json_text, printable
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -47,11 +48,10 @@ def console_observer(*, is_quiet: bool = False, shows_table: bool = True) -> Ite
     Yields:
         The observer.
     """
-    from rich.console import Console
-
     from telewide.cli.progress import ConsoleObserver
+    from telewide.cli.terminal import TerminalConsole
 
-    console = Console(stderr=True, quiet=not this_process().is_writer)
+    console = TerminalConsole(stderr=True, quiet=not this_process().is_writer)
     observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table)
     try:
         yield observer
@@ -71,10 +71,11 @@ def bar(label: str, *, total: int | None = None, is_quiet: bool = False) -> Iter
     Yields:
         The bar.
     """
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
+    from telewide.cli.terminal import TerminalConsole
+
+    console = TerminalConsole(stderr=True)
     if is_quiet or not console.is_terminal:  # a bar of rich that is switched off leaves an empty line all the same
         yield Bar()
         return
@@ -100,9 +101,27 @@ def hand_over(answer: dict[str, object], *, failure: QualityError | None, as_jso
         return
     if not as_json:
         raise failure
-    typer.echo(f"error: {failure.message}\n  {failure.hint}", err=True)
+    say(f"error: {failure.message}\n  {failure.hint}")
     print_json({**answer, "error": failure.message, "hint": failure.hint, "exit_code": failure.exit_code})
     raise typer.Exit(failure.exit_code)
+
+
+def say(text: str, *, is_answer: bool = False) -> None:
+    """Print a text for a person; what a terminal would obey is shown instead.
+
+    Args:
+        text: may hold names and notes of other people.
+        is_answer: to standard output; else to standard error.
+    """
+    typer.echo(printable(text), err=not is_answer)
+
+
+class VisibleFormatter(logging.Formatter):
+    """Formats lines of the log; what a terminal would obey is shown instead."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        return printable(super().format(record))
 
 
 def print_json(content: dict[str, object]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
-from telewide.cli.console import bar, print_json
+from telewide.cli.console import bar, print_json, say
 from telewide.errors import InputError, UsageError
 from telewide.text import command_line, counted
 
@@ -73,9 +73,9 @@ def _no_pair(dcim: Path, plan: ImportPlan, *, is_shown: bool) -> InputError:
 
 
 def _show(plan: ImportPlan) -> None:
-    from rich.console import Console
+    from telewide.cli.terminal import TerminalConsole
 
-    console = Console()
+    console = TerminalConsole()
     if not console.is_terminal:
         console.width = _TABLE_WIDTH
     if plan.pairs:
@@ -132,28 +132,28 @@ def _number(value: float | None, form: str = "g") -> str:
 
 def _say_done(plan: ImportPlan, dcim: Path, captures: Path, *, is_dry: bool) -> None:
     done = "would be imported" if is_dry else "imported"
-    typer.echo(f"{done} into {captures}: {len(plan.pairs)} new, {len(plan.known)} already there", err=True)
+    say(f"{done} into {captures}: {len(plan.pairs)} new, {len(plan.known)} already there")
     if plan.unpaired:
-        typer.echo(f"left out: {len(plan.unpaired)}", err=True)
+        say(f"left out: {len(plan.unpaired)}")
     for lenses in plan.lenses:
         if lenses.others:
             _say_lenses(lenses, dcim, captures)
     if not is_dry and plan.pairs:
         rig = captures / DEFAULT_RIG
         boards = command_line("calibrate", "boards", out=rig)
-        typer.echo(f"next: {boards}  (photos of a board, taken with both lenses)", err=True)
-        typer.echo(f"  or without a board: {command_line('calibrate', captures, from_scenes=True, out=rig)}", err=True)
+        say(f"next: {boards}  (photos of a board, taken with both lenses)")
+        say(f"  or without a board: {command_line('calibrate', captures, from_scenes=True, out=rig)}")
 
 
 def _say_lenses(lenses: ChosenLenses, dcim: Path, captures: Path) -> None:
     """Say which lenses were paired, and which call takes the next best ones, whose photos may have a partner here."""
     chosen, other = lenses.chosen, lenses.others[0]
-    typer.echo(f"{chosen.wide.camera}: {_lens(chosen.tele)} is paired with {_lens(chosen.wide)}", err=True)
+    say(f"{chosen.wide.camera}: {_lens(chosen.tele)} is paired with {_lens(chosen.wide)}")
     wide_mm, tele_mm = other.wide.focal_length_mm, other.tele.focal_length_mm
     folder = captures.with_name(f"{captures.name}-{tele_mm:g}mm-{wide_mm:g}mm")
     again = command_line("import", dcim, folder, wide_mm=wide_mm, tele_mm=tele_mm)
     count = counted(other.n_pairs, "pair")
-    typer.echo(f"  {count} of {_lens(other.tele)} and {_lens(other.wide)}, if those are meant: {again}", err=True)
+    say(f"  {count} of {_lens(other.tele)} and {_lens(other.wide)}, if those are meant: {again}")
 
 
 def _lens(lens: Lens) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, cast
 import typer
 
 from telewide.cli.arguments import DEFAULT_RIG, JsonOption
-from telewide.cli.console import print_json
+from telewide.cli.console import print_json, say
 
 SHOW_EPILOG = "Example: `telewide show rig.yaml`"
 
@@ -27,4 +27,4 @@ def show(
     if as_json:
         print_json(cast(dict[str, object], read_yaml(rig)))
     else:
-        typer.echo("\n".join(rig_lines(stored)))
+        say("\n".join(rig_lines(stored)), is_answer=True)

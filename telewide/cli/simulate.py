@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from telewide.cli.arguments import DEFAULT_RIG, MAX_SEED, JsonOption, QuietOption
-from telewide.cli.console import bar, print_json
+from telewide.cli.console import bar, print_json, say
 from telewide.errors import UsageError
 from telewide.text import command_line, counted
 
@@ -164,12 +164,12 @@ def _hand_over(out: Path, answer: dict[str, object], *, as_json: bool, is_quiet:
 
 def _say(out: Path, captures: str, *, has_boards: bool) -> None:
     if not has_boards:
-        typer.echo(f"wrote {captures} to {out}", err=True)
-        typer.echo(f"next: {command_line('train', out)}", err=True)
+        say(f"wrote {captures} to {out}")
+        say(f"next: {command_line('train', out)}")
         return
     from telewide.simulate.phone import BOARD_SQUARE_M
 
-    typer.echo(f"wrote {captures} and photos of a board to {out}", err=True)
+    say(f"wrote {captures} and photos of a board to {out}")
     rig = out / DEFAULT_RIG
     calibrate = command_line("calibrate", out / "boards", board=_BOARD, square_m=BOARD_SQUARE_M, out=rig)
-    typer.echo(f"next: {calibrate}", err=True)
+    say(f"next: {calibrate}")
