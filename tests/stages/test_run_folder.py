@@ -132,7 +132,7 @@ def test_replacing_takes_the_longest_name_a_folder_takes(tmp_path: Path) -> None
 def test_fingerprint_is_sha256_of_the_content(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
     assert fingerprint(tmp_path / "a") == hashlib.sha256(b"abc").hexdigest()
-    with pytest.raises(UsageError, match="cannot be read"):
+    with pytest.raises(UsageError, match="does not exist"):
         fingerprint(tmp_path / "b")
 
 
@@ -154,6 +154,18 @@ def test_locate_run_prefers_the_named_then_here_then_beside(tmp_path: Path, monk
     (here / "run").mkdir()
     assert locate_run(None, captures).root == Path("run")
     assert locate_run(tmp_path / "named", captures).root == tmp_path / "named"
+
+
+@pytest.mark.parametrize("place", ["here", "there"])
+def test_a_link_that_nobody_named_is_no_run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    for folder in ("here", "there/captures", "elsewhere"):
+        (tmp_path / folder).mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / place / "run").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match="run is a link to"):
+        locate_run(None, tmp_path / "there" / "captures")
+    named = tmp_path / place / "run"
+    assert locate_run(named, tmp_path / "there" / "captures").root == named
 
 
 def test_locate_run_refuses_a_file(tmp_path: Path) -> None:
