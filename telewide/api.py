@@ -26,7 +26,7 @@ from telewide.cores import Device
 from telewide.correction.verdict import disparity_window
 from telewide.depth.result import DepthResult
 from telewide.errors import QualityError, UsageError
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatMap
 from telewide.matching.methods import Method
 from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe

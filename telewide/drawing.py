@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from telewide.geometry.stereo import BoolMap, FloatMap
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 GROUND = (22, 22, 24)
 INK = (236, 236, 236)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.stereo import BoolMap, FloatMap
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 _BAD_PX = 3.0
 _BAD_SHARE_OF_TRUTH = 0.05

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.grids import dense_map
 from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.points.matches import Matches
 
-FloatArray = NDArray[np.float64]
 BASELINE_M = 0.012
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
-
-FloatArray = NDArray[np.float64]
 
 PLACES_OF_WIDE_M = {
     "horizontal": (0.012, 0.0004, -0.0003),

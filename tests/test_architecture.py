@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -195,6 +196,16 @@ def test_torch_only_in_matching_and_training() -> None:
 def test_only_stages_and_above_know_the_run_folder() -> None:
     knows = [m.name for m in modules() if any(name == "telewide.stages.run_folder.RunFolder" for name, _ in imports(m))]
     assert [name for name in knows if (layer(name) or 0) < 7] == []
+
+
+def test_array_types_are_named_in_one_place() -> None:
+    def findings(module: Module) -> list[str]:
+        named = (node for node in module.tree.body if isinstance(node, ast.Assign))
+        usual = re.compile(r"NDArray\[np\.(float64|float32|bool_|uint8|int64)\]")
+        return [at(module, node.lineno, "an array type") for node in named if usual.fullmatch(ast.unparse(node.value))]
+
+    assert [f for m in modules() if m.name != "geometry.arrays" for f in findings(m)] == []
+    assert findings(module_from_text("Points = NDArray[np.float64]")) != []
 
 
 def test_colour_science_only_in_correction_colour() -> None:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 from telewide.benchmark.memory import SGM
 from telewide.cores import Device
 from telewide.errors import UsageError
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.stages.run_folder import RunFolder

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.facts import FACTS_FILE
-from telewide.capture.images import FloatImage, read_image, write_image, write_pfm
+from telewide.capture.images import read_image, write_image, write_pfm
 from telewide.errors import InputError, UsageError
 from telewide.files import write_text
+from telewide.geometry.arrays import FloatImage
 from telewide.simulate.degrade import shrink_and_enlarge
 
 _LEFT, _RIGHT, _LEFT_DISPARITY = "view1.png", "view5.png", "disp1.png"

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.benchmark.contenders import Contender
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
@@ -19,6 +18,7 @@ from telewide.calibration.rig_file import StoredRig
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import CaptureFacts, CaptureSet, RectifiedPair, find_captures, read_pair
 from telewide.errors import UsageError
+from telewide.geometry.arrays import FloatArray
 from telewide.matching.window import Window, joined_window
 from telewide.points.held_out import match_errors_px, summarise_errors
 from telewide.recipe import Recipe
@@ -27,7 +27,6 @@ from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
 
-Errors = NDArray[np.float64]
 UNCORRECTED = "uncorrected"
 ALL, HELD_OUT = "all", "held out"
 
@@ -83,7 +82,7 @@ def benchmark_matches(
     unseen = _unseen_captures(trained_runs)
     trained = [entrant.contender.window for entrant in entrants if entrant.contender.window is not None]
     window = joined_window([prepared.window, *trained])
-    errors_px: dict[str, dict[str, Errors]] = {entrant.name: {} for entrant in entrants}
+    errors_px: dict[str, dict[str, FloatArray]] = {entrant.name: {} for entrant in entrants}
     for item in prepared.pairs:
         tell(f"{item.capture.name}: {len(item.held_out.ref_px)} matches")
         for entrant in entrants:
@@ -131,7 +130,7 @@ def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
     return frozenset.intersection(*(frozenset(record.held_out) for record in records))
 
 
-def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> Errors:
+def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> FloatArray:
     pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
     disparity = entrant.contender.match(pair.tele, pair.wide, window)
     return match_errors_px(disparity.disparity_px, item.held_out)
@@ -147,7 +146,7 @@ def _uncorrected(item: PreparedPair, facts: CaptureFacts) -> RectifiedPair:
     return RectifiedPair(pair.name, tele, wide)
 
 
-def _row(matcher: str, captures: str, errors_px: Sequence[Errors]) -> dict[str, object]:
+def _row(matcher: str, captures: str, errors_px: Sequence[FloatArray]) -> dict[str, object]:
     summary = summarise_errors(np.concatenate(errors_px))
     return {"matcher": matcher, "captures": captures, **summary, "matches": int(summary["matches"])}
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.benchmark.contenders import source_labels
 from telewide.benchmark.memory import SGM
@@ -27,6 +26,7 @@ from telewide.calibration.solver import calibrate_rig
 from telewide.capture.images import read_image, read_pfm
 from telewide.cores import Device
 from telewide.errors import UsageError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
 from telewide.matching.methods import Method
 from telewide.pipeline import depth_captures
@@ -35,8 +35,6 @@ from telewide.simulate.phone import BOARD_SQUARE_M, write_phone
 from telewide.stages.depth import DepthOptions, DepthRun, recipe_of_depth
 from telewide.stages.observer import Observer
 from telewide.training.options import WEIGHTS_NAME
-
-Values = NDArray[np.float64]
 
 DISTANCES_M = (0.5, 1.0, 2.0, 4.0)
 BAND_SHARE = 0.2
@@ -100,9 +98,9 @@ class MeasuredDepths:
         depth_std_m: (N,) stated standard deviation.
     """
 
-    truth_m: Values
-    depth_m: Values
-    depth_std_m: Values
+    truth_m: FloatArray
+    depth_m: FloatArray
+    depth_std_m: FloatArray
 
 
 def depth_makers(sources: Sequence[Path]) -> list[DepthMaker]:

@@ -20,7 +20,8 @@ from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
 from telewide.depth.edges import follow_edges
 from telewide.errors import InputError
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.metrics import end_point_error_px, three_pixel_error
 
 SPLITS: dict[str, tuple[str, ...]] = {

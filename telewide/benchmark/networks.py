@@ -10,10 +10,9 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage
 from telewide.matching.inference import choose_device, full_precision, has_fast_bf16, match_with_network
 from telewide.matching.networks import build_network
 from telewide.matching.window import Window
@@ -24,8 +23,6 @@ from telewide.training.options import StageOptions, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import Sample, SampleSource
 from telewide.training.stages import Stage
-
-FloatImage = NDArray[np.float32]
 
 FLOAT32, BF16 = "float32", "bf16"
 _STAGE = "rehearsal"

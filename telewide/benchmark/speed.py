@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.benchmark.memory import SGM, MemoryCase, MemoryPeak, measure_peak
 from telewide.benchmark.report import BenchmarkReport, describe_machine, markdown_table, number
@@ -23,7 +22,6 @@ from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.scene import random_scene, render_pair
 from telewide.training.samples import Sample
 
-FloatImage = NDArray[np.float32]
 Tell = Callable[[str], None]
 
 NO_PRECISION = "-"

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.boards.board import Board
-from telewide.boards.pyramid import FloatArray, GreyImage, Level
+from telewide.boards.pyramid import Level
 from telewide.boards.subpixel import refine_saddles
+from telewide.geometry.arrays import ByteImage, FloatArray
 
 _WINDOW_SHARE = 0.5  # radius of a refinement window over the distance to the next edge
 _MIN_SHARE_FOUND = 0.6  # of the corners; a grid of which the fit refuses more was no chessboard
@@ -35,7 +36,7 @@ class FoundCorners:
     points_px: FloatArray
 
 
-def find_chessboard(grey_u8: GreyImage, levels: Iterable[Level], *, board: Board) -> FoundCorners | None:
+def find_chessboard(grey_u8: ByteImage, levels: Iterable[Level], *, board: Board) -> FoundCorners | None:
     """Find a chessboard that is wholly visible.
 
     Args:
@@ -84,13 +85,13 @@ def _is_turnable(board: Board, quarter: int) -> bool:
     return {1: across, 2: across + down, 3: down}[quarter] % 2 == 0
 
 
-def _find_by_sectors(grey_u8: GreyImage, board: Board) -> FloatArray | None:
+def _find_by_sectors(grey_u8: ByteImage, board: Board) -> FloatArray | None:
     size = (board.columns, board.rows)
     is_found, corners = cv2.findChessboardCornersSB(grey_u8, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     return _grid(np.asarray(corners, dtype=np.float64), board) if is_found else None
 
 
-def _find_by_quads(grey_u8: GreyImage, board: Board) -> FloatArray | None:
+def _find_by_quads(grey_u8: ByteImage, board: Board) -> FloatArray | None:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     is_found, corners = cv2.findChessboardCorners(grey_u8, (board.columns, board.rows), flags=flags)
     return _grid(np.asarray(corners, dtype=np.float64), board) if is_found else None
@@ -100,7 +101,7 @@ def _grid(corners: FloatArray, board: Board) -> FloatArray:
     return corners.reshape(board.rows, board.columns, 2)
 
 
-def _upright(grid_px: FloatArray, grey_u8: GreyImage) -> FloatArray:
+def _upright(grid_px: FloatArray, grey_u8: ByteImage) -> FloatArray:
     """Turn a grid so that nothing is mirrored, a black square comes first, and x points right as far as that allows."""
     across, down = _along(grid_px, axis=1).mean(axis=(0, 1)), _along(grid_px, axis=0).mean(axis=(0, 1))
     if across[0] * down[1] - across[1] * down[0] < 0:
@@ -116,7 +117,7 @@ def _cosine_to_x(grid_px: FloatArray) -> float:
     return float(across[0] / np.linalg.norm(across))
 
 
-def _is_first_black(grid_px: FloatArray, grey_u8: GreyImage) -> bool:
+def _is_first_black(grid_px: FloatArray, grey_u8: ByteImage) -> bool:
     """Whether the square right and below of corner (0, 0) is black, judged by all squares between the corners."""
     middles = (grid_px[:-1, :-1] + grid_px[1:, :-1] + grid_px[:-1, 1:] + grid_px[1:, 1:]) / 4
     x, y = np.clip(np.rint(middles), 0, np.array(grey_u8.shape)[::-1] - 1).astype(np.int64).transpose(2, 0, 1)
@@ -131,7 +132,7 @@ def _along(grid: FloatArray, *, axis: int) -> FloatArray:
     return np.asarray(np.gradient(grid, axis=axis), dtype=np.float64)
 
 
-def _refined(grey_u8: GreyImage, grid_px: FloatArray) -> FoundCorners | None:
+def _refined(grey_u8: ByteImage, grid_px: FloatArray) -> FoundCorners | None:
     across, down = _along(grid_px, axis=1).reshape(-1, 2), _along(grid_px, axis=0).reshape(-1, 2)
     half_px = _WINDOW_SHARE * distance_to_next_edge_px(across, down)
     edges_rad = np.column_stack([np.arctan2(step[:, 1], step[:, 0]) for step in (across, down)])

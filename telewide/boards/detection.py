@@ -15,8 +15,7 @@ from telewide.boards.board import Board
 from telewide.boards.chessboard import find_chessboard
 from telewide.boards.markers import find_marker_board
 from telewide.boards.pyramid import pyramid
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 MIN_CORNERS = 4
 """A view with fewer says nothing of where the board is."""

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from telewide.boards.board import Board, board_points_m
 from telewide.boards.chessboard import FoundCorners, distance_to_next_edge_px
 from telewide.boards.pattern import aruco_dictionary, marker_origins_m
-from telewide.boards.pyramid import FloatArray, GreyImage, Level
+from telewide.boards.pyramid import Level
 from telewide.boards.subpixel import refine_quads, refine_saddles
+from telewide.geometry.arrays import ByteImage, FloatArray
 
 _SMALLEST_MARKER_PX = 10.0  # below this a marker's cells are under 2 px
 _LARGE_ENOUGH_PX = 24.0  # markers of this side are all found; a larger picture would add none
@@ -45,7 +46,7 @@ class FoundMarkers:
     quads_px: FloatArray
 
 
-def find_marker_board(grey_u8: GreyImage, levels: Iterable[Level], *, board: Board) -> FoundCorners | None:
+def find_marker_board(grey_u8: ByteImage, levels: Iterable[Level], *, board: Board) -> FoundCorners | None:
     """Find a board with markers.
 
     Args:
@@ -107,7 +108,7 @@ def _consistent(found: FoundMarkers, board: Board) -> FoundMarkers | None:
     return FoundMarkers(markers, found.quads_px[np.asarray(kept, dtype=np.int64)[first]])
 
 
-def _saddles(grey_u8: GreyImage, found: FoundMarkers, board: Board) -> FoundCorners:
+def _saddles(grey_u8: ByteImage, found: FoundMarkers, board: Board) -> FoundCorners:
     """Inner corners of a charuco, started from the nearest markers and fitted in the photo."""
     inner_m = board_points_m(board)[:, :2] + board.square_m
     ids, starts_px, steps_px, clear_px = [], [], [], []
@@ -135,7 +136,7 @@ def _saddles(grey_u8: GreyImage, found: FoundMarkers, board: Board) -> FoundCorn
     return FoundCorners(np.array(ids, dtype=np.int64)[refined.is_good], refined.points_px[refined.is_good])
 
 
-def _quads(grey_u8: GreyImage, found: FoundMarkers, board: Board) -> FoundCorners:
+def _quads(grey_u8: ByteImage, found: FoundMarkers, board: Board) -> FoundCorners:
     """Corners of the markers of an aruco_grid, from lines through their sides."""
     cells = aruco_dictionary(board).markerSize + 2
     clear = min(1 / cells, (board.gap_m or 0.0) / board.square_m)

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.boards.board import Board, FloatArray, marker_squares
+from telewide.boards.board import Board, marker_squares
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatArray
 
 
 def aruco_dictionary(board: Board) -> cv2.aruco.Dictionary:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from telewide.boards.board import FloatArray
+from telewide.geometry.arrays import FloatArray
 
 POINTS_PER_M = 72 / 0.0254
 

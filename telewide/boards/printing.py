@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.boards.board import PAPER_WH_M, Board, FloatArray
+from telewide.boards.board import PAPER_WH_M, Board
 from telewide.boards.pattern import black_rectangles_m
 from telewide.boards.pdf import Page, TextLine, pdf_from_page
 from telewide.errors import UsageError
 from telewide.files import replacing
+from telewide.geometry.arrays import FloatArray
 
 RULER_M = 0.1
 _MARGIN_M = 0.008  # printers leave up to 6 mm of a sheet blank

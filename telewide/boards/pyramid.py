@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-GreyImage = NDArray[np.uint8]
+from telewide.geometry.arrays import ByteImage, FloatArray
 
 SMALL_PX = 1000
 """Longest side of the smallest level, at most."""
@@ -30,7 +28,7 @@ class Level:
         scale_xy: photo px per px of this level.
     """
 
-    grey_u8: GreyImage
+    grey_u8: ByteImage
     scale_xy: tuple[float, float]
 
     def to_photo_px(self, points_px: FloatArray) -> FloatArray:
@@ -42,7 +40,7 @@ class Level:
         return np.asarray((points_px + 0.5) / self.scale_xy - 0.5, dtype=np.float64)
 
 
-def pyramid(grey_u8: GreyImage) -> Iterator[Level]:
+def pyramid(grey_u8: ByteImage) -> Iterator[Level]:
     """Give a photo at growing sizes, each twice as large as the one before; each is made when it is asked for.
 
     Args:

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from telewide.geometry.arrays import ByteImage, FloatArray
 from telewide.srgb import linear_from_srgb
-
-FloatArray = NDArray[np.float64]
-GreyImage = NDArray[np.uint8]
 
 MAX_HALF_PX = 20.0
 """Wider windows gain little, and a lens bends what is in them."""
@@ -50,7 +48,7 @@ class Refined:
     is_good: NDArray[np.bool_]
 
 
-def refine_saddles(grey_u8: GreyImage, start_px: FloatArray, *, edges_rad: FloatArray, half_px: FloatArray) -> Refined:
+def refine_saddles(grey_u8: ByteImage, start_px: FloatArray, *, edges_rad: FloatArray, half_px: FloatArray) -> Refined:
     """Fit the crossing of two edges at each corner, by Levenberg-Marquardt.
 
     Args:
@@ -80,7 +78,7 @@ def refine_saddles(grey_u8: GreyImage, start_px: FloatArray, *, edges_rad: Float
     return Refined(points_px, is_good)
 
 
-def refine_quads(grey_u8: GreyImage, quads_px: FloatArray, *, half_px: FloatArray) -> Refined:
+def refine_quads(grey_u8: ByteImage, quads_px: FloatArray, *, half_px: FloatArray) -> Refined:
     """Fit a line to each side of dark quadrilaterals and cross them.
 
     A side is measured at K positions along profiles across it; its corners are left out, since blur rounds them.
@@ -105,7 +103,7 @@ def refine_quads(grey_u8: GreyImage, quads_px: FloatArray, *, half_px: FloatArra
     return Refined(points_px.reshape(-1, 2), is_good.reshape(-1))
 
 
-def _side_lines(grey_u8: GreyImage, quads_px: FloatArray, half_px: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _side_lines(grey_u8: ByteImage, quads_px: FloatArray, half_px: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Lines (N, 4, 3), homogeneous, through what brightens near each side, side i from corner i on; whether found."""
     along = np.roll(quads_px, -1, axis=1) - quads_px
     # Clockwise on a y-down picture: outwards is to the left of the way around.
@@ -116,7 +114,7 @@ def _side_lines(grey_u8: GreyImage, quads_px: FloatArray, half_px: FloatArray) -
     return _fit_lines(*_edges_on_profiles(grey_u8, at_px, outwards[:, :, None], reach_px))
 
 
-def _last_px(grey_u8: GreyImage) -> FloatArray:
+def _last_px(grey_u8: ByteImage) -> FloatArray:
     return np.array([grey_u8.shape[1] - 1, grey_u8.shape[0] - 1], dtype=np.float64)
 
 
@@ -130,7 +128,7 @@ def _disc(half_px: float) -> FloatArray:
     return np.column_stack([x[is_inside], y[is_inside]]).astype(np.float64)
 
 
-def _taken(grey_u8: GreyImage, at_px: FloatArray) -> GreyImage:
+def _taken(grey_u8: ByteImage, at_px: FloatArray) -> ByteImage:
     """Pixels at whole positions, those outside taken from the border."""
     x, y = np.clip(at_px, 0, _last_px(grey_u8)).astype(np.int64).transpose(-1, *range(at_px.ndim - 1))
     return np.asarray(grey_u8[y, x])
@@ -207,7 +205,7 @@ def _jacobian(
 
 
 def _edges_on_profiles(
-    grey_u8: GreyImage, at_px: FloatArray, outwards: FloatArray, reach_px: FloatArray
+    grey_u8: ByteImage, at_px: FloatArray, outwards: FloatArray, reach_px: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where each profile, dark to bright, brightens: the centre of its slope. (..., 2) px, and whether there is one."""
     profile_px = at_px[..., None, :] + (reach_px[..., None] * _PROFILE)[..., None] * outwards[..., None, :]
@@ -222,7 +220,7 @@ def _edges_on_profiles(
     return at_px + (reach_px * centre)[..., None] * outwards, is_inside & (rise > _MIN_CONTRAST)
 
 
-def _interpolated(grey_u8: GreyImage, at_px: FloatArray) -> FloatArray:
+def _interpolated(grey_u8: ByteImage, at_px: FloatArray) -> FloatArray:
     """Linear light between pixels, bilinear."""
     low = np.floor(at_px)
     part = at_px - low

@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.stereo import BoolMap, FloatMap
-
-FloatArray = NDArray[np.float32]
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 JUMP_PX = 1.0  # a difference in blur radius that shows
 REACH_PX = 3  # how far pure colours are looked for
@@ -37,13 +35,13 @@ class SplitPixels:
         rear_radius_px: (H, W) float32.
     """
 
-    front: FloatArray
+    front: FloatMap
     front_radius_px: FloatMap
-    rear: FloatArray
+    rear: FloatMap
     rear_radius_px: FloatMap
 
 
-def split_mixed_pixels(light: FloatArray, radius_px: FloatMap) -> SplitPixels:
+def split_mixed_pixels(light: FloatMap, radius_px: FloatMap) -> SplitPixels:
     """Split the pixels along jumps of the blur radius into front and rear.
 
     Args:
@@ -67,13 +65,13 @@ def split_mixed_pixels(light: FloatArray, radius_px: FloatMap) -> SplitPixels:
 
 
 def _split(
-    light: FloatArray,
+    light: FloatMap,
     radius_px: FloatMap,
     mixed: BoolMap,
     middle_px: FloatMap,
     *,
     at: tuple[NDArray[np.int64], NDArray[np.int64]],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
     """Split the N pixels at rows and columns: front (N, 4), its radius (N,), rear (N, 3), its radius (N,)."""
     height, width = radius_px.shape
     offset = np.arange(-REACH_PX, REACH_PX + 1)
@@ -95,7 +93,7 @@ def _split(
     return np.column_stack([front_N3, coverage_N]), front_radius_N, rear_N3, rear_radius_N
 
 
-def _coverage(own_N3: FloatArray, front_N3: FloatArray, rear_N3: FloatArray, *, otherwise: BoolMap) -> FloatArray:
+def _coverage(own_N3: FloatMap, front_N3: FloatMap, rear_N3: FloatMap, *, otherwise: BoolMap) -> FloatMap:
     """Share of the front colour in each pixel (N,); all or nothing where the two colours do not tell."""
     across_N3 = front_N3 - rear_N3
     contrast_N = (across_N3**2).sum(axis=1)
@@ -105,7 +103,7 @@ def _coverage(own_N3: FloatArray, front_N3: FloatArray, rear_N3: FloatArray, *, 
     return np.where(telling_N, share_N, otherwise).astype(np.float32)
 
 
-def _pure(colour_NK3: FloatArray, radius_NK: FloatArray, weight_NK: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _pure(colour_NK3: FloatMap, radius_NK: FloatMap, weight_NK: FloatMap) -> tuple[FloatMap, FloatMap]:
     """Mean colour (N, 3) of the one surface whose pixel weighs most, and the radius (N,) of that pixel."""
     centre = weight_NK.shape[1] // 2
     best_N = np.where(weight_NK[:, centre] > 0, centre, weight_NK.argmax(axis=1))  # its own surface, if it is one of it

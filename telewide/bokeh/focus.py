@@ -10,13 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.depth.edges import nearest_known
 from telewide.errors import InputError, UsageError
-from telewide.geometry.stereo import BoolMap, FloatMap
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
 
 FOCUS_WORDS = ("auto", "near", "far")
 OUTLIER_PERCENT = 0.5  # of the pixels at either end, whose disparity is taken for a mistake

@@ -22,10 +22,7 @@ from numpy.typing import NDArray
 
 from telewide.bokeh.coverage import SplitPixels, split_mixed_pixels
 from telewide.depth.edges import nearest_known
-from telewide.geometry.stereo import BoolMap, FloatMap
-
-FloatImage = NDArray[np.float32]
-IntMap = NDArray[np.int64]
+from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap, IntArray
 
 IN_FOCUS_PX = 0.5  # a disk within one pixel: such a pixel is left as it is
 BIN_PX = 1.0  # finer bins gain nothing, bins of 2 px cost 2 dB
@@ -117,7 +114,7 @@ def _tiles(hw: tuple[int, int], size: int) -> Iterator[_Box]:
             yield _Box(top, min(top + size, hw[0]), left, min(left + size, hw[1]))
 
 
-def _mirrored(start: int, stop: int, *, size: int) -> IntMap:
+def _mirrored(start: int, stop: int, *, size: int) -> IntArray:
     """Indices ``start:stop`` mirrored into ``0:size``, for want of knowing what lies beyond the frame."""
     period = max(2 * size - 2, 1)
     index = np.abs(np.arange(start, stop)) % period
@@ -168,7 +165,7 @@ def _render_layers(light: FloatImage, radius_px: FloatMap, bins: _Bins) -> Float
 
 
 def _layer(
-    parts: SplitPixels, front_bin: IntMap, rear_bin: IntMap, *, box: _Box, index: int, reach_px: float
+    parts: SplitPixels, front_bin: IntArray, rear_bin: IntArray, *, box: _Box, index: int, reach_px: float
 ) -> FloatImage:
     """One bin and what it continues to behind nearer ones, as light and coverage (h, w, 4) of the box.
 

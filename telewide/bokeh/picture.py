@@ -17,7 +17,8 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet
 from telewide.depth.precision_notes import away_words
 from telewide.errors import InputError, UsageError
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""

@@ -10,16 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.bokeh.focus import OUTLIER_PERCENT
 from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
 from telewide.depth.edges import fill_unknown
 from telewide.errors import InputError, UsageError
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.srgb import linear_from_srgb, srgb_from_linear
-
-FloatImage = NDArray[np.float32]
 
 LARGEST_RADIUS_SHARE = 0.1  # of the shorter side: f/1.8 at half a metre stays below; larger disks would take many GB
 

@@ -17,8 +17,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from telewide.calibration.distortion import N_LENS, project, project_with_derivatives
 from telewide.calibration.problem import N_SHARED, RIG, Problem, Sightings, State
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 SOFT = 3.0
 """Standard deviations from which on a corner's pull no longer grows."""

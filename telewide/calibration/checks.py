@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.quality import (
     SHARE,
@@ -22,9 +21,8 @@ from telewide.calibration.quality import (
 )
 from telewide.calibration.result import CameraStd, Lens, TransformStd, ViewResult
 from telewide.calibration.validation import GRID_HW, difference_px, tele_grid_px
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
-
-FloatArray = NDArray[np.float64]
 
 # Limits: (passes, fails); between them a warning. The first two count from above, the others from below.
 JOINT_VIEWS = (12, 5)

@@ -7,11 +7,9 @@ k5 k6. Pixel (0, 0) is the centre of the top-left pixel; camera x right, y down,
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera
-
-FloatArray = NDArray[np.float64]
 
 N_LENS = 12
 F, ASPECT, CX, CY = 0, 1, 2, 3

@@ -8,16 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.bundle import shot_costs, solve_bundle
 from telewide.calibration.distortion import camera_of
 from telewide.calibration.intrinsics import agrees
 from telewide.calibration.poses import noise_px, placed, view_scale_px
 from telewide.calibration.problem import N_SHARED, RIG, Problem, Sightings, State
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from telewide.geometry.arrays import BoolArray, FloatArray
 
 _GUESSES = 40
 _ROUNDS = 4

@@ -10,16 +10,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.bundle import solve_bundle
 from telewide.calibration.distortion import LADDER, N_LENS, F, prior_of_lens
 from telewide.calibration.model_selection import best_model, free_numbers, ladder
 from telewide.calibration.poses import noise_px, placed, unplaced, view_scale_px
 from telewide.calibration.problem import Problem, Sightings, State
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from telewide.geometry.arrays import BoolArray, FloatArray
 
 DISAGREES = 2.5
 """A view whose typical error is less than this many times the others' agrees with them."""

@@ -20,9 +20,7 @@ from telewide.calibration.distortion import (
     is_one_to_one,
 )
 from telewide.calibration.problem import N_SHARED, Problem, State
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from telewide.geometry.arrays import BoolArray, FloatArray
 
 NARROW = 0.35
 """Tangent of the half diagonal angle below which a lens counts as long."""

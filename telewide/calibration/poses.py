@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from telewide.calibration.bundle import residuals_px, shot_costs, solve_poses
 from telewide.calibration.distortion import camera_of
 from telewide.calibration.problem import Problem, Sightings, State
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 RAYLEIGH_MEDIAN = 1.1774
 """Median length of a plane normal vector of standard deviation 1."""

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from telewide.calibration.distortion import CX, CY, N_LENS, F
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from telewide.geometry.arrays import BoolArray, FloatArray
 
 N_SHARED = 2 * N_LENS + 6
 RIG = slice(2 * N_LENS, N_SHARED)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
 
-FloatArray = NDArray[np.float64]
 Lens = Literal["tele", "wide"]
 
 

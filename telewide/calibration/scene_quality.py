@@ -27,12 +27,11 @@ from telewide.calibration.scene_rig import CONTRADICTIONS, SceneRig, SideSource
 from telewide.calibration.scene_solver import MIN_SCENES
 from telewide.calibration.validation import difference_px
 from telewide.correction.refinement import fit_shot, refined_rig
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import rectifying_rotation
 from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import vertical_misfit_px
 from telewide.points.matches import Matches
-
-FloatArray = NDArray[np.float64]
 
 MIN_CHECKED_SCENES = 2 * MIN_SCENES
 """Fewer captures than this cannot be parted into two rigs that judge each other's captures."""

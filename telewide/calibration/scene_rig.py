@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.quality import larger_than_usual
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
 
-FloatArray = NDArray[np.float64]
 Side = Literal["left", "right", "above", "below"]
 SideSource = Literal["seen", "stated", "guessed", "contradicted"]
 """Contradicted: stated, and the matches show the opposite."""

@@ -30,13 +30,13 @@ from telewide.calibration.scene_rig import (
     wide_centre,
 )
 from telewide.errors import InputError, UsageError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import rectifying_rotation
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.points.epipolar import across_in_wide, epipolar_misfit_px, matching_unit_px, rectified_points
 from telewide.points.matches import Matches
 from telewide.points.robust import RobustFit, fit_robustly, numeric_jacobian
 
-FloatArray = NDArray[np.float64]
 MIN_SCENES = 3
 """Fewer captures than this carry no rig."""
 MIN_SCENE_MATCHES = 40

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from telewide.boards.detection import BoardView
@@ -18,8 +17,7 @@ from telewide.boards.shots import DetectedShot
 from telewide.calibration.problem import Sightings
 from telewide.calibration.result import Lens
 from telewide.errors import InputError
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 LENSES: tuple[Lens, Lens] = ("tele", "wide")
 MIN_CORNERS = 6

@@ -34,9 +34,8 @@ from telewide.calibration.uncertainty import Uncertainty, uncertainty
 from telewide.calibration.validation import rig_of, validate
 from telewide.calibration.views import view_results
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import rigid_transform
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDS = 4
 _CONTRADICTS_SQUARES = 0.25

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from telewide.calibration.bundle import SOFT, normal_equations, residuals_px, with_prior
 from telewide.calibration.problem import Problem, State
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 _SOFT_SHARE = 0.72
 """Variance of a corner's pull under soft L1 at three standard deviations, over that of least squares, normal noise."""

@@ -8,16 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.bundle import solve_bundle
 from telewide.calibration.distortion import camera_of
 from telewide.calibration.extrinsics import epipolar_errors_px, joint_shots
 from telewide.calibration.problem import Problem, State
+from telewide.geometry.arrays import BoolArray, FloatArray
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 GRID_HW = (12, 16)
 """Rows and columns of the grid on which two rigs are compared."""

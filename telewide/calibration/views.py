@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.boards.detection import BoardView
 from telewide.boards.shots import DetectedShot
@@ -18,8 +17,7 @@ from telewide.calibration.intrinsics import largest_agreeing_px
 from telewide.calibration.problem import State
 from telewide.calibration.result import ViewResult
 from telewide.calibration.sightings import LENSES, Gathered, square_px, view_of
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 _SLIGHTLY_PX = 1.0
 """Another lens or another board is off by more."""

@@ -31,11 +31,11 @@ from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.sizes import MAX_PIXELS, check_size, halved, is_read_halved, say_halved
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import replacing
+from telewide.geometry.arrays import FloatImage
 
 if TYPE_CHECKING:
     import tifffile
 
-FloatImage = NDArray[np.float32]
 Samples = NDArray[np.integer]
 
 _TAG_ORIENTATION, _TAG_ICC = 274, 34675

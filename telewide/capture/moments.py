@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, tzinfo
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 SAME_S = 1e-6
 """Intervals that differ by less are equal."""

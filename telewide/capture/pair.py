@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.facts import CaptureFacts, read_facts
-from telewide.capture.images import FloatImage, read_image, read_pfm, resize_bicubic
+from telewide.capture.images import read_image, read_pfm, resize_bicubic
 from telewide.capture.layout import Capture, CaptureSet, Problem, find_captures
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatImage
 
 __all__ = [
     "Capture",

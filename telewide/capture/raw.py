@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.formats import TAG_DNG_VERSION, open_tiff, read_bytes, tiff_pages
 from telewide.capture.opcodes import (
@@ -35,13 +34,13 @@ from telewide.capture.opcodes import (
 )
 from telewide.capture.sizes import check_size, is_read_halved, read_hw, say_halved
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatImage
 from telewide.srgb import srgb_from_linear
 
 if TYPE_CHECKING:
     import rawpy
     import tifffile
 
-FloatImage = NDArray[np.float32]
 
 _TAG_OPCODES = {1: 51008, 2: 51009, 3: 51022}
 _TAG_CROP_ORIGIN, _TAG_CROP_SIZE, _TAG_BASELINE_EXPOSURE = 50719, 50720, 50730

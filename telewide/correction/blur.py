@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.points.bandwidth import SIGMA_PER_FACTOR_PX
-from telewide.points.matches import FloatImage, Matches
+from telewide.points.matches import Matches
 from telewide.points.registered import Patches, cut_patches, find_patches
 from telewide.srgb import grey
 
-FloatArray = NDArray[np.float64]
 Spectra = NDArray[np.complex64]
 
 MIN_WINDOWS = 6

@@ -24,11 +24,10 @@ from telewide.correction.colour_model import (
     transform_colours,
     transform_image,
 )
-from telewide.points.matches import FloatImage, Matches
+from telewide.geometry.arrays import FloatArray, FloatImage
+from telewide.points.matches import Matches
 from telewide.points.registered import Patches, cut_patches, find_patches, shifted_patches
 from telewide.srgb import linear_from_srgb, srgb_from_linear
-
-FloatArray = NDArray[np.float64]
 
 MIN_SAMPLES = 12
 """Fewer matched points than this leave the colours alone."""

@@ -16,10 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.srgb import linear_from_srgb, srgb_from_linear, srgb_slope
-
-FloatImage = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 N_PLACES = 5
 N_TONE = 3

@@ -18,11 +18,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from telewide.correction.refinement import ShotRefinement, refined_rig
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import matching_unit_px, vertical_misfit_px
 from telewide.points.matches import Matches
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_MISFIT_PX = 1.5
 _MISFIT_PER_STD = 4.0

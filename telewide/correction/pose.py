@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import MAX_TILT_DEG
 from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import (
@@ -25,8 +25,6 @@ from telewide.points.epipolar import (
 )
 from telewide.points.matches import Matches
 from telewide.points.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian
-
-FloatArray = NDArray[np.float64]
 
 ROTATION_PRIOR_RAD = float(np.radians(3.0))
 DIRECTION_PRIOR_RAD = 1.0

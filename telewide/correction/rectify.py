@@ -10,17 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from telewide.capture.pair import RectifiedPair
+from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig
-from telewide.geometry.stereo import BoolMap, FloatMap
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.correction.pose import fit_pose
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import rectifying_rotation
 from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import (
@@ -24,8 +24,6 @@ from telewide.points.epipolar import (
 )
 from telewide.points.matches import Matches, split_matches
 from telewide.points.robust import consensus_start, fit_robustly, numeric_jacobian
-
-FloatArray = NDArray[np.float64]
 
 MIN_MATCHES = 20
 """Fewer matches than this carry no correction."""

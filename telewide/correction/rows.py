@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from telewide.points.matches import FloatImage, Matches
+from telewide.geometry.arrays import FloatImage
+from telewide.points.matches import Matches
 
 MIN_MATCHES = 20
 """Fewer matches than this cannot carry a fit of three numbers."""

@@ -11,13 +11,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.errors import InputError
-from telewide.geometry.stereo import BoolMap, FloatMap
-
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+from telewide.geometry.arrays import BoolMap, FloatMap, IntArray
 
 JUMP_PX = 1.0  # a difference between neighbours that is an edge and no slope, in photos of any size
 DOUBT_PX = 4  # how far from its true place a matcher leaves an edge
@@ -69,7 +65,7 @@ def fill_unknown(disparity_px: FloatMap) -> FloatMap:
     return np.asarray(disparity_px.ravel()[index], dtype=np.float32)
 
 
-def follow_edges(disparity_px: FloatMap, guide_rgb: FloatArray, *, confidence: FloatMap, valid: BoolMap) -> FloatMap:
+def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: FloatMap, valid: BoolMap) -> FloatMap:
     """Move the edges of a disparity map to the edges of the photo.
 
     Away from depth edges the map is left as it is; so is a pixel around which nothing has its colour.
@@ -106,9 +102,7 @@ def _near_edge(disparity_px: FloatMap, *, margin_px: int) -> BoolMap:
     return np.asarray(cv2.dilate(jump.astype(np.uint8), disk) > 0)
 
 
-def _snapped(
-    disparity_px: FloatMap, guide_rgb: FloatArray, weight: FloatMap, index: IntArray, *, scale: int
-) -> FloatMap:
+def _snapped(disparity_px: FloatMap, guide_rgb: FloatMap, weight: FloatMap, index: IntArray, *, scale: int) -> FloatMap:
     """Take the weighted median at the pixels of a flat index whose surroundings do not bear them out."""
     height, width = disparity_px.shape
     offset = np.arange(-REACH_PX, REACH_PX + 1, STEP_PX) * scale
@@ -135,7 +129,7 @@ def _inside(at_N: IntArray, offset_K: IntArray, size: int) -> BoolMap:
     return (near_NK >= 0) & (near_NK < size)
 
 
-def _weighted_median(value_NK: FloatArray, weight_NK: FloatArray) -> FloatArray:
+def _weighted_median(value_NK: FloatMap, weight_NK: FloatMap) -> FloatMap:
     """The value with half the weight below it, one of the row's own."""
     order = np.argsort(value_NK, axis=1)
     below_NK = np.take_along_axis(weight_NK, order, axis=1).cumsum(axis=1)

@@ -20,7 +20,8 @@ from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult
 from telewide.errors import InputError
 from telewide.files import replacing
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.npz import read_npz
 
 NPZ_FORMAT = 1

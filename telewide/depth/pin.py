@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from telewide.errors import InputError, UsageError
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
-from telewide.geometry.stereo import FloatMap
 
 DISTANCE_STD_SHARE = 0.01
 """How well a distance is measured, unless said otherwise."""

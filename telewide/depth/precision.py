@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 
 SURE_STD_PX = 0.16
 """Standard deviation of a disparity of full confidence, px of the views that were matched."""

@@ -9,8 +9,8 @@ import numpy as np
 from telewide.depth.pin import DistancePin, KnownDistance, pin_distance, pin_scale, weigh_pin
 from telewide.depth.precision import DepthPrecision, depth_std_m
 from telewide.depth.result import DepthResult
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
-from telewide.geometry.stereo import FloatMap
 
 HARDLY_KNOWN_SHARE = 0.5
 """A depth whose standard deviation is a larger share of it is hardly known."""

@@ -33,7 +33,7 @@ from telewide.drawing import (
     upright_mask,
     write_text,
 )
-from telewide.geometry.stereo import BoolMap, FloatMap
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 DISPLAY_PERCENTILES = (1.0, 99.0)
 MIN_SPAN_PX = 2.0

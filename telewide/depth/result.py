@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.facts import CaptureFacts
 from telewide.depth.precision import DepthPrecision, depth_std_m, disparity_std_px
+from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.rig import StereoRig
-from telewide.geometry.stereo import DisparityMap, FloatMap, depth_from_disparity
-
-FloatMatrix = NDArray[np.float64]
+from telewide.geometry.stereo import DisparityMap, depth_from_disparity
 
 
 @dataclass(frozen=True)
@@ -39,11 +37,11 @@ class DepthResult:
 
     name: str
     disparity: DisparityMap
-    K: FloatMatrix | None = None
+    K: FloatArray | None = None
     baseline_m: float | None = None
     depth_m: FloatMap | None = None
     depth_std_m: FloatMap | None = None
-    distortion: FloatMatrix | None = None
+    distortion: FloatArray | None = None
     doffs_px: float = 0.0
     rotated_deg: int = 0
 
@@ -124,6 +122,6 @@ def _in_front(disparity: DisparityMap, depth_m: FloatMap) -> DisparityMap:
     return replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
 
 
-def _centred_intrinsics(f_px: float, *, hw: tuple[int, ...]) -> FloatMatrix:
+def _centred_intrinsics(f_px: float, *, hw: tuple[int, ...]) -> FloatArray:
     cx, cy = (hw[1] - 1) / 2, (hw[0] - 1) / 2
     return np.array([[f_px, 0.0, cx], [0.0, f_px, cy], [0.0, 0.0, 1.0]])

@@ -14,9 +14,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from telewide.geometry.arrays import BoolMap, FloatMap
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import RectifiedGeometry
-from telewide.geometry.stereo import BoolMap, DisparityMap, FloatMap
+from telewide.geometry.stereo import DisparityMap
 
 SURFACE_JUMP_PX = 1.0
 """Neighbours that differ by more, in px of the rectified views, lie on two surfaces."""

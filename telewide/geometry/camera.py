@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-
+from telewide.geometry.arrays import FloatArray
 
 _FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 

@@ -11,10 +11,9 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-FloatMap = NDArray[np.float32]
+from telewide.geometry.arrays import FloatArray, FloatMap
+
 Mapping = Callable[[FloatArray], FloatArray]
 
 MAX_ERROR_PX = 0.004

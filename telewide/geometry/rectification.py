@@ -21,12 +21,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig
-
-FloatArray = NDArray[np.float64]
 
 MARGIN_SHARE = 1 / 16
 """Margin for the disparities, of the width of the tele photo: 12 mm of baseline, 27 degrees of view, 0.4 m."""

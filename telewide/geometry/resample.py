@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatMap = NDArray[np.float32]
+from telewide.geometry.arrays import FloatMap
 
 _SPLINE_POLE = np.sqrt(3.0) - 2  # of the filter that turns samples into the coefficients of the cubic spline
 _SPLINE_REACH = 9  # what lies beyond weighs 1e-5

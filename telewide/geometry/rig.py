@@ -12,11 +12,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.camera import scaled_intrinsics
-
-FloatArray = NDArray[np.float64]
 
 _INVERSE_ITERATIONS = 10
 

@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.stereo import BoolMap, FloatMap
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 _RADIUS_PX = 13
 _FEW = 0.3  # share of the surroundings below which a mean fades

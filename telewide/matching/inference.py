@@ -17,13 +17,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from telewide.errors import MissingPartError
+from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, standardise
 from telewide.matching.sampling import pad_to_multiple, warp_to_ref
 from telewide.matching.volume import expect_disparity_at_mode, peak_share, shear_to_src
 from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
-
-FloatImage = NDArray[np.float32]
 
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""

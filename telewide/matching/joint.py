@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.matching.filling import guided_mean
 from telewide.matching.semiglobal import Doubt, match_to_levels
 from telewide.matching.subpixel import refine_subpixel

@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.geometry.stereo import BoolMap, DisparityMap, FloatMap
+from telewide.geometry.arrays import BoolMap, ByteImage, FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.matching.filling import fill_background, fill_rows, weighted_median
 from telewide.matching.subpixel import refine_subpixel
 
 __all__ = ["fill_background", "match_semiglobal"]
 
-Bytes = NDArray[np.uint8]
 CostVolume = NDArray[np.uint16]
 Doubt = Callable[[int], NDArray[np.uint16]]
 
@@ -120,16 +120,16 @@ def _matching_cost(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> 
     return cost_HDW
 
 
-def _byte_planes(image: FloatMap) -> list[Bytes]:
+def _byte_planes(image: FloatMap) -> list[ByteImage]:
     levels = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
     return [levels[..., channel].copy() for channel in range(3)]
 
 
-def _absolute_difference(a: Bytes, b: Bytes) -> Bytes:
+def _absolute_difference(a: ByteImage, b: ByteImage) -> ByteImage:
     return np.maximum(a, b) - np.minimum(a, b)
 
 
-def _sum_of_three(a: Bytes, b: Bytes, c: Bytes) -> NDArray[np.uint16]:
+def _sum_of_three(a: ByteImage, b: ByteImage, c: ByteImage) -> NDArray[np.uint16]:
     return np.asarray(np.add(a, b, dtype=np.uint16) + c)
 
 
@@ -139,7 +139,7 @@ def _overlap(disparity_px: int, *, width: int) -> tuple[slice, slice]:
     return slice(first, last), slice(first - disparity_px, last - disparity_px)
 
 
-def _census(image: FloatMap) -> Bytes:
+def _census(image: FloatMap) -> ByteImage:
     """Which of eight pixels around each are brighter, a bit for each.
 
     Source: R. Zabih, J. Woodfill, "Non-parametric Local Transforms for Computing Visual Correspondence", ECCV 1994.

@@ -13,7 +13,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatMap
 from telewide.matching.filling import guided_filter
 
 _BLUR_PX = 1.5  # of both views

@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.drawing import number_labels, painted, rounded_ticks
-from telewide.geometry.stereo import FloatMap
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray, FloatMap
 
 CHART_STYLE = """
 :root { --good: #23803f; --warn: #a86a00; --bad: #c0302b; --second: #2f6fb7; --cell: #b4470f; }

@@ -34,7 +34,8 @@ from telewide.drawing import (
     write_text,
 )
 from telewide.files import replacing
-from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap, resize_disparity
 
 SHEET_WIDTH_PX = 2000
 DIFFERENCE_SHOWN = 0.15

@@ -20,7 +20,7 @@ import numpy as np
 
 from telewide.drawing import fitted_wh, number_labels, rounded_ticks, scaled_image
 from telewide.files import write_text
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatMap
 
 Number = float | int | str | None
 

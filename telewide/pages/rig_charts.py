@@ -10,10 +10,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import Calibration, Lens, ViewResult
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig
 from telewide.pages.charts import (
     Axis,
@@ -35,8 +35,6 @@ from telewide.pages.rig_figures import (
     tele_outline_px,
     transfer_difference_px,
 )
-
-FloatArray = NDArray[np.float64]
 
 LENSES: tuple[Lens, ...] = ("tele", "wide")
 _LensFigure = Callable[[Calibration, Lens, Sequence[ViewResult]], str]

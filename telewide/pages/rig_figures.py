@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.calibration.validation import difference_px
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig
-
-FloatArray = NDArray[np.float64]
 
 _LONGER_SIDE_CELLS = 32
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import Calibration, CameraStd, ViewResult
 from telewide.drawing import fitted_wh, scaled_image
 from telewide.files import write_text
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rig import Camera
-from telewide.geometry.stereo import FloatMap
 from telewide.pages.charts import CHART_STYLE
 from telewide.pages.report import (
     NextStep,
@@ -40,8 +39,6 @@ from telewide.pages.rig_charts import (
 )
 from telewide.pages.rig_checks import CHECKS_STYLE, advice_html, checks_html
 from telewide.pages.rig_text import distortion_words
-
-FloatArray = NDArray[np.float64]
 
 _SCAN_LINES = 15
 _VIEW_WIDTH_PX = 720

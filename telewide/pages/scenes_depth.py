@@ -8,14 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.scene_rig import SceneRig
+from telewide.geometry.arrays import FloatArray
 from telewide.pages.charts import Axis, Line, line_chart
 from telewide.pages.depth_table import MATCHING_STD_PX, ROWS_M, depth_error_words, depth_table_html
 from telewide.pages.rig_figures import depth_error_m
-
-FloatArray = NDArray[np.float64]
 
 _NEAREST_M, _FARTHEST_M = 0.25, 10.0
 _HIGHEST_PERCENT = 130.0

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.scene_rig import CONTRADICTIONS, SceneRig, SideSource
 from telewide.files import write_text
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.pages.charts import CHART_STYLE, Bar, bar_list, coverage_chart
 from telewide.pages.report import (
     NextStep,
@@ -34,8 +33,6 @@ from telewide.pages.rig_figures import cell_counts, tele_outline_px
 from telewide.pages.rig_report import scan_lines_picture
 from telewide.pages.scenes_depth import scenes_depth_html
 from telewide.points.matches import Matches
-
-FloatArray = NDArray[np.float64]
 
 _COVERAGE_CELLS = (6, 8)
 _MAX_DOTS = 4000

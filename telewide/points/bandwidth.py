@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage
 from telewide.srgb import grey
-
-FloatImage = NDArray[np.float32]
 
 HALF_AMPLITUDE_CYCLES = 0.45
 """Frequency (cycles per px) times factor at which a view enlarged by that factor keeps half of its amplitude."""

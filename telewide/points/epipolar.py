@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import rectifying_rotation
 from telewide.geometry.rig import StereoRig, rigid_transform
-
-FloatArray = NDArray[np.float64]
 
 MATCHING_SIDE_PX = 1600
 """Longer side of the views that are matched, whatever the photos' size."""

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.layout import Capture
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatArray, FloatMap
 
-Points = NDArray[np.float64]
 CLIP_PX = 3.0
 """A match missed by more counts as missed by this much, so that a few wild ones do not decide."""
 _REMAP_LIMIT = 32000
@@ -35,7 +34,7 @@ class HeldOut:
     """
 
     capture: Capture
-    ref_px: Points
+    ref_px: FloatArray
     disparity_px: NDArray[np.float64]
 
     def beyond(self, x_px: float) -> HeldOut:

@@ -20,12 +20,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from telewide.errors import InputError
+from telewide.geometry.arrays import BoolArray, FloatArray, FloatImage
 from telewide.points.bandwidth import blur_to_bandwidth, estimate_asymmetry
 from telewide.srgb import grey
-
-FloatImage = NDArray[np.float32]
-Points = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 VERTICAL_TOLERANCE_PX = (0.5, 1.5)
 """How far a match may lie from the linear vertical law: four sigma of the matches, at least and at most this."""
@@ -53,8 +50,8 @@ class Matches:
         src_px: (N, 2) float64, (x, y) in src.
     """
 
-    ref_px: Points
-    src_px: Points
+    ref_px: FloatArray
+    src_px: FloatArray
 
     @property
     def disparity_px(self) -> NDArray[np.float64]:
@@ -69,7 +66,7 @@ class Matches:
     def __len__(self) -> int:
         return len(self.ref_px)
 
-    def select(self, keep: Flags | NDArray[np.intp]) -> Matches:
+    def select(self, keep: BoolArray | NDArray[np.intp]) -> Matches:
         """Return the matches a mask or a list of indices names."""
         return Matches(self.ref_px[keep], self.src_px[keep])
 
@@ -78,7 +75,7 @@ class Matches:
 class DetectedView:
     """Feature points of one view: positions (M, 2) px, diameter (M,) px, angle (M,) deg, unit descriptors (M, 128)."""
 
-    xy_px: Points
+    xy_px: FloatArray
     size_px: NDArray[np.float64]
     angle_deg: NDArray[np.float64]
     descriptor: NDArray[np.float32]
@@ -222,7 +219,7 @@ def _candidates(
     return np.repeat(np.arange(len(counts)), counts), column
 
 
-def _is_best(similarity: NDArray[np.float32], group: NDArray[np.intp], xy_px: Points) -> Flags:
+def _is_best(similarity: NDArray[np.float32], group: NDArray[np.intp], xy_px: FloatArray) -> BoolArray:
     """Which pairs are the best of their group and pass Lowe's ratio test against the best point elsewhere.
 
     Unit vectors: squared distance = 2 - 2 similarity.
@@ -276,14 +273,14 @@ def align_matches(ref_HW: FloatImage, src_HW: FloatImage, matches: Matches) -> M
     return aligned.select(fits & stays & _is_whole(aligned.ref_px, ref_HW) & _is_whole(moved, src_HW))
 
 
-def _is_whole(centre_px: Points, image_HW: FloatImage) -> Flags:
+def _is_whole(centre_px: FloatArray, image_HW: FloatImage) -> BoolArray:
     """Whether all but the rim of the patches lies inside the image: beyond it pixels are made up."""
     margin = _PATCH_RADIUS_PX // 2
     last = np.array([image_HW.shape[1] - 1 - margin, image_HW.shape[0] - 1 - margin])
     return np.asarray(((centre_px >= margin) & (centre_px <= last)).all(axis=1))
 
 
-def _sample(image_HW: FloatImage, centre_px: Points, offsets: NDArray[np.float32]) -> NDArray[np.float64]:
+def _sample(image_HW: FloatImage, centre_px: FloatArray, offsets: NDArray[np.float32]) -> NDArray[np.float64]:
     """(N, K) values at K offsets about N points, bilinear, the border repeated."""
     at = (centre_px[:, None, :] + offsets[None, :, :]).astype(np.float32)
     values = cv2.remap(image_HW, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -320,7 +317,7 @@ def _vertical_residual_px(matches: Matches) -> NDArray[np.float64]:
     return np.asarray(vertical - design @ law)
 
 
-def _has_support(matches: Matches) -> Flags:
+def _has_support(matches: Matches) -> BoolArray:
     """Which matches agree in disparity with at least five of the twelve nearest."""
     n_neighbours = min(_NEIGHBOURS, len(matches) - 1)
     if n_neighbours < _SUPPORTERS:

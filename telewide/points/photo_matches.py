@@ -17,23 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import rectifying_rotation, rig_at_sizes
 from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.points.epipolar import MATCHING_SIDE_PX
-from telewide.points.matches import (
-    FloatImage,
-    Matches,
-    align_matches,
-    detect_points,
-    match_descriptors,
-    to_one_bandwidth,
-)
+from telewide.points.matches import Matches, align_matches, detect_points, match_descriptors, to_one_bandwidth
 from telewide.points.similarity import find_overlap
 from telewide.srgb import grey
-
-FloatArray = NDArray[np.float64]
 
 _FEW_MATCHES = 150
 _NEIGHBOURS = 12

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from telewide.points.matches import FloatImage, Matches, Points
+from telewide.geometry.arrays import FloatArray, FloatImage
+from telewide.points.matches import Matches
 
 MAX_SPREAD_PX = 2.0
 """Triangles whose corners' shifts differ by more may hold a jump in depth."""
@@ -36,7 +37,7 @@ class Patches:
         radius_px: R of all of them.
     """
 
-    centre_px: Points
+    centre_px: FloatArray
     src_from_ref: NDArray[np.float64]
     radius_px: int
 
@@ -48,12 +49,12 @@ class Patches:
         return Patches(self.centre_px[keep], self.src_from_ref[keep], self.radius_px)
 
     @property
-    def src_centre_px(self) -> Points:
+    def src_centre_px(self) -> FloatArray:
         """(S, 2) where src shows the centres."""
         return _mapped(self.src_from_ref, self.centre_px[:, None])[:, 0]
 
 
-def find_patches(matches: Matches, *, centre_px: Points, radius_px: int, hw: tuple[int, int]) -> Patches:
+def find_patches(matches: Matches, *, centre_px: FloatArray, radius_px: int, hw: tuple[int, int]) -> Patches:
     """Keep those patches that lie inside both views and that matches show to be one smooth surface.
 
     Args:
@@ -137,7 +138,7 @@ def _smooth_triangles(corners: NDArray[np.intp], matches: Matches, *, max_edge_p
     return np.asarray((spread_px <= MAX_SPREAD_PX) & (edge_px <= max_edge_px))
 
 
-def _interpolated(mesh: Delaunay, matches: Matches, triangle: NDArray[np.intp], points_px: Points) -> Points:
+def _interpolated(mesh: Delaunay, matches: Matches, triangle: NDArray[np.intp], points_px: FloatArray) -> FloatArray:
     """Points of ref carried into src by their triangles; all of (..., 2)."""
     transform = mesh.transform[triangle]
     two = np.einsum("...ij,...j->...i", transform[..., :2, :], points_px - transform[..., 2, :])
@@ -146,7 +147,7 @@ def _interpolated(mesh: Delaunay, matches: Matches, triangle: NDArray[np.intp], 
     return np.asarray(np.einsum("...k,...kx->...x", weights, corners))
 
 
-def _affine_fits(ref_px: Points, src_px: Points) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _affine_fits(ref_px: FloatArray, src_px: FloatArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least-squares affine maps (S, 2, 3) of (S, P, 2) points, and the largest misfit (S,) of each."""
     centre = ref_px.mean(axis=1, keepdims=True)
     offsets = (ref_px - centre)[0] if len(ref_px) else np.zeros((len(_PROBES), 2))
@@ -158,7 +159,7 @@ def _affine_fits(ref_px: Points, src_px: Points) -> tuple[NDArray[np.float64], N
     return maps, misfit_px
 
 
-def _mapped(maps: NDArray[np.float64], points_px: Points) -> Points:
+def _mapped(maps: NDArray[np.float64], points_px: FloatArray) -> FloatArray:
     """(S, P, 2) points through (S, 2, 3) maps."""
     return np.asarray(np.einsum("sxk,spk->spx", maps[:, :, :2], points_px) + maps[:, None, :, 2])
 

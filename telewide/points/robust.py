@@ -13,10 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
+
 Residuals = Callable[[FloatArray], FloatArray]
 Jacobian = Callable[[FloatArray], FloatArray]
 

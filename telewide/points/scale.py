@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.points.matches import FloatImage, Points
+from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.srgb import grey
 
 MIN_SCALE_MATCHES = 15
@@ -31,7 +31,6 @@ _MAX_OCTAVE_RATIO = 1.6
 _MARGIN = 0.08
 _ITERATIONS = 12
 _SOFT = 2.0
-_FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def estimate_scale(tele: FloatImage, wide: FloatImage) -> ScaleEstimate | None:
     )
 
 
-def _coarse(tele_HW: FloatImage, wide_HW: FloatImage) -> _FloatArray | None:
+def _coarse(tele_HW: FloatImage, wide_HW: FloatImage) -> FloatArray | None:
     """A first similarity (2, 3), from features of any scale on small pictures."""
     tele_points, tele_shrink = _points(tele_HW, longest_px=_COARSE_SIDE_PX)
     wide_points, wide_shrink = _points(wide_HW, longest_px=_COARSE_SIDE_PX)
@@ -103,7 +102,7 @@ def _coarse(tele_HW: FloatImage, wide_HW: FloatImage) -> _FloatArray | None:
     return np.asarray(found, dtype=np.float64)
 
 
-def _fine_matches(tele_HW: FloatImage, wide_HW: FloatImage, similarity: _FloatArray) -> tuple[Points, Points]:
+def _fine_matches(tele_HW: FloatImage, wide_HW: FloatImage, similarity: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Matches near a known similarity: tele shrunk to wide's scale, wide cropped to what tele sees."""
     scale = float(np.hypot(*similarity[:2, 0]))
     left, top, right, bottom = _seen_box(tele_HW, wide_HW, similarity)
@@ -122,7 +121,7 @@ def _fine_matches(tele_HW: FloatImage, wide_HW: FloatImage, similarity: _FloatAr
     return tele_px[is_near], wide_px[is_near]
 
 
-def _weighed_similarity(tele_px: Points, wide_px: Points) -> tuple[_FloatArray, _FloatArray, float]:
+def _weighed_similarity(tele_px: FloatArray, wide_px: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Similarity (2, 3) with weights (N,) of the matches and the standard deviation of its factor.
 
     Student-like weights; the residuals' own covariance, short across the baseline and long along it, is estimated with
@@ -157,7 +156,7 @@ def _weighed_similarity(tele_px: Points, wide_px: Points) -> tuple[_FloatArray, 
     return similarity, weight, scale_std / scale**2
 
 
-def _robust_covariance(residual_px: _FloatArray) -> _FloatArray:
+def _robust_covariance(residual_px: FloatArray) -> FloatArray:
     """Covariance (2, 2) of the inner part of the residuals, by its own axes, with a floor of 0.05 px."""
     keep = np.ones(len(residual_px), dtype=bool)
     covariance = np.eye(2)
@@ -172,8 +171,8 @@ def _robust_covariance(residual_px: _FloatArray) -> _FloatArray:
 class _Features:
     """Positions (M, 2) px, diameters (M,) px and unit descriptors (M, 128) of one view."""
 
-    xy_px: Points
-    size_px: _FloatArray
+    xy_px: FloatArray
+    size_px: FloatArray
     descriptor: NDArray[np.float32]
 
 
@@ -197,7 +196,7 @@ def _points(
 
 def _tentative(
     tele: _Features, wide: _Features, *, max_size_ratio: float | None = None, sizes: float = 1.0
-) -> tuple[Points, Points]:
+) -> tuple[FloatArray, FloatArray]:
     """Mutual best matches that pass Lowe's ratio test; ``sizes`` is wide's expected diameter over tele's."""
     if min(len(tele.xy_px), len(wide.xy_px)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
@@ -215,15 +214,15 @@ def _tentative(
     return tele.xy_px[keep], wide.xy_px[best[keep]]
 
 
-def _unshrunk(xy_px: Points, share: float) -> Points:
+def _unshrunk(xy_px: FloatArray, share: float) -> FloatArray:
     return (xy_px + 0.5) / share - 0.5
 
 
-def _moved(similarity: _FloatArray, xy_px: Points) -> Points:
+def _moved(similarity: FloatArray, xy_px: FloatArray) -> FloatArray:
     return np.asarray(xy_px @ similarity[:, :2].T + similarity[:, 2])
 
 
-def _seen_box(tele_HW: FloatImage, wide_HW: FloatImage, similarity: _FloatArray) -> tuple[int, int, int, int]:
+def _seen_box(tele_HW: FloatImage, wide_HW: FloatImage, similarity: FloatArray) -> tuple[int, int, int, int]:
     """Left, top, right, bottom of what tele sees of wide, with a margin."""
     height, width = tele_HW.shape
     corners = _moved(similarity, np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64))

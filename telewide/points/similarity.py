@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from telewide.points.matches import FloatImage
+from telewide.geometry.arrays import FloatImage
 from telewide.srgb import grey
 
 _MAX_FEATURES = 2000

@@ -11,19 +11,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.facts import FACTS_FILE
 from telewide.capture.images import write_image, write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
+from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.simulate.degrade import Degradation, degrade_small
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene
 from telewide.simulate.still_life import still_life
-
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
 
 SCENES = ("still-life", "random")
 """What can be photographed: arranged pictures, or strewn shapes as the networks are taught on."""

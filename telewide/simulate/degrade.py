@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.images import resize_bicubic
-
-FloatImage = NDArray[np.float32]
+from telewide.geometry.arrays import FloatImage
 
 _BLUR_REACH = 2.6
 """Radius of the blur kernel in standard deviations."""

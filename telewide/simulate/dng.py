@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from PIL import Image, TiffImagePlugin
 
 from telewide.files import replacing
+from telewide.geometry.arrays import FloatImage
 from telewide.simulate.sensor import RawFrame, Sensor, vignetting_at
 
-FloatImage = NDArray[np.float32]
 Values = Sequence[int | float]
 
 _BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _UNDEFINED, _SRATIONAL = 1, 2, 3, 4, 5, 7, 10

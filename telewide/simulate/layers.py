@@ -21,11 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
 from telewide.srgb import linear_from_srgb, srgb_from_linear
-
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
-BoolMap = NDArray[np.bool_]
 
 _RELIEF_STEPS = 7
 """Fixed-point steps: with slopes up to 0.35 the rest is below 0.35**7 = 0.06 % of the relief."""

@@ -18,20 +18,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.images import write_image, write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
+from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.layers import render_pair
 from telewide.simulate.still_life import still_life
-
-FloatArray = NDArray[np.float64]
-FloatMap = NDArray[np.float32]
 
 TELE_SHARE, WIDE_SHARE = 80 / 36, 27 / 36
 """Focal length over the photo's width: 80 and 27 mm equivalent."""

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import rigid_transform
 from telewide.simulate import room_paint as paint
 from telewide.simulate import room_things as things
@@ -28,8 +28,6 @@ from telewide.simulate.room_scene import (
     rod,
     turned,
 )
-
-FloatArray = NDArray[np.float64]
 
 TELE_HALF_TAN = 0.225
 """Half the tele lens's picture width over its focal length."""

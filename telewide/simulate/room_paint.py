@@ -10,40 +10,36 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.simulate.texture import band_noise, drawn_texture
-
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
-Colour = NDArray[np.float32]
 
 _WALL = ("d9d2c4", "c9d0cf", "d8cdb8", "c3c8b9", "cfc4c0", "b9c3cc")
 _WOOD = ("a9794a", "8a5a35", "c19a68", "6f4a30", "b58a5e")
 _THINGS = ("8c3b32", "2f5d73", "c79a3b", "5a7048", "7a4a63", "c9c2b2", "3d4b5c", "b5683d", "6f8f92", "a34e57", "46413c")
 
 
-def colour_of(code: str) -> Colour:
+def colour_of(code: str) -> FloatImage:
     """(3,) sRGB of six hexadecimal digits."""
     return np.array([int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)], np.float32)
 
 
-def thing_colour(rng: np.random.Generator) -> Colour:
+def thing_colour(rng: np.random.Generator) -> FloatImage:
     """Draw the colour of some thing."""
     return _varied(rng, _THINGS)
 
 
-def wall_colour(rng: np.random.Generator) -> Colour:
+def wall_colour(rng: np.random.Generator) -> FloatImage:
     """Draw the colour of a painted wall."""
     return _varied(rng, _WALL)
 
 
-def wood_colour(rng: np.random.Generator) -> Colour:
+def wood_colour(rng: np.random.Generator) -> FloatImage:
     """Draw the colour of a kind of wood."""
     return _varied(rng, _WOOD)
 
 
-def wood(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour) -> FloatImage:
+def wood(rng: np.random.Generator, *, hw: tuple[int, int], colour: FloatImage) -> FloatImage:
     """Grain along x, with rings that run out of straight.
 
     Args:
@@ -61,7 +57,7 @@ def wood(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour) -> Fl
     return _clipped(colour * value[..., None])
 
 
-def planks(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour, rows: int) -> FloatImage:
+def planks(rng: np.random.Generator, *, hw: tuple[int, int], colour: FloatImage, rows: int) -> FloatImage:
     """Boards side by side along x, each of its own tone, dark joints between.
 
     Args:
@@ -81,7 +77,7 @@ def planks(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour, row
     return floor
 
 
-def bricks(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour, rows: int) -> FloatImage:
+def bricks(rng: np.random.Generator, *, hw: tuple[int, int], colour: FloatImage, rows: int) -> FloatImage:
     """A brick wall, each brick of its own tone.
 
     Args:
@@ -106,7 +102,7 @@ def bricks(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour, row
     return _clipped(wall * grain[..., None])
 
 
-def painted(rng: np.random.Generator, *, hw: tuple[int, int], colour: Colour) -> FloatImage:
+def painted(rng: np.random.Generator, *, hw: tuple[int, int], colour: FloatImage) -> FloatImage:
     """Nearly plain: paint that dried a little unevenly.
 
     Args:
@@ -196,14 +192,14 @@ def chessboard(*, corners: tuple[int, int], margin: int = 1, cell_px: int = 16) 
     return np.asarray(grey[..., None] * np.array([1.0, 0.98, 0.95], np.float32), np.float32)
 
 
-def _print_line(rng: np.random.Generator, place: FloatImage, ink: Colour) -> None:
+def _print_line(rng: np.random.Generator, place: FloatImage, ink: FloatImage) -> None:
     """Words of random strokes into a strip (h, w, 3) of a texture, which changes."""
     strokes = rng.random(max(1, place.shape[1] // 3)) < 0.62
     is_ink = np.repeat(strokes, 3)[: place.shape[1]]
     place[:, : len(is_ink)][:, is_ink] = ink
 
 
-def _varied(rng: np.random.Generator, codes: tuple[str, ...]) -> Colour:
+def _varied(rng: np.random.Generator, codes: tuple[str, ...]) -> FloatImage:
     colour = colour_of(codes[int(rng.integers(len(codes)))])
     return np.asarray(np.clip(colour * np.exp(rng.normal(0, 0.06, 3)), 0.04, 0.9), np.float32)
 

@@ -18,14 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.errors import MissingPartError, extra_hint
+from telewide.geometry.arrays import FloatArray, FloatImage, FloatMap
 from telewide.geometry.grids import dense_map
 from telewide.geometry.rig import Camera, StereoRig
 from telewide.simulate.room_scene import Light, Room, Solid
 from telewide.srgb import linear_from_srgb
-
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
 
 _FINENESS = 1.25
 """Pinhole pixels per photo pixel, along each axis; where the photo is looked up, it is twice as fine as in the end."""

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.geometry.rig import rigid_transform
 
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
 Vector = tuple[float, float, float]
 
 DOWN = (0.0, 1.0, 0.0)

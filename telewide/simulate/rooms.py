@@ -15,11 +15,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.images import write_image, write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
+from telewide.geometry.arrays import FloatArray, FloatImage, FloatMap
 from telewide.geometry.rig import Camera, StereoRig
 from telewide.simulate.dng import ExifFacts, write_dng, write_jpeg
 from telewide.simulate.phone import (
@@ -37,10 +37,6 @@ from telewide.simulate.room_render import ApertureSetting, RoomTracer
 from telewide.simulate.room_scene import Room, Solid
 from telewide.simulate.sensor import Sensor, developed, expose, phone_sensor
 from telewide.srgb import srgb_from_linear
-
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
 
 LEAST_BASELINE_M, LARGEST_BASELINE_M = 0.010, 0.015
 DEFAULT_SAMPLES = 6

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray, FloatImage, FloatMap
 from telewide.simulate import shapes
 from telewide.simulate.layers import (
     Layer,
@@ -38,8 +38,6 @@ __all__ = [
     "render_view",
 ]
 
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
 
 _MARGIN_PX = 4
 _LARGEST_SLOPE = 0.3
@@ -210,7 +208,7 @@ def _solid(world: _World, ground: Layer | None, *, disparity_px: float) -> list[
     box = shapes.box_of(outline, limits=world.box)
     if box is None:
         return []
-    holes: tuple[shapes.Polygon, ...] = ()
+    holes: tuple[FloatArray, ...] = ()
     if rng.random() < 0.12:
         share = float(rng.uniform(0.3, 0.75))
         inner = (radii[0] * share, radii[1] * share)

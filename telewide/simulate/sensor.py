@@ -19,10 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.srgb import srgb_from_linear
 
-FloatImage = NDArray[np.float32]
-FloatMatrix = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
@@ -87,12 +86,12 @@ class Sensor:
             raise ValueError(f"pattern {self.pattern!r}; one of {', '.join(PATTERNS)} was expected")
 
     @property
-    def colour_matrix(self) -> FloatMatrix:
+    def colour_matrix(self) -> FloatArray:
         """`colour_from_srgb` as a (3, 3) array."""
         return np.asarray(self.colour_from_srgb, dtype=np.float64)
 
     @property
-    def srgb_from_balanced(self) -> FloatMatrix:
+    def srgb_from_balanced(self) -> FloatArray:
         """(3, 3) linear sRGB from colours divided by those of white: what a profile states of the sensor."""
         response = self.colour_matrix
         return np.asarray(np.linalg.inv(response / response.sum(axis=1, keepdims=True)))
@@ -185,7 +184,7 @@ def developed(frame: RawFrame) -> FloatImage:
     return srgb_from_linear(np.clip(linear_srgb, 0, 1))
 
 
-def vignetting_at(sensor: Sensor, rows_columns: tuple[FloatMatrix, FloatMatrix], *, hw: tuple[int, int]) -> FloatMatrix:
+def vignetting_at(sensor: Sensor, rows_columns: tuple[FloatArray, FloatArray], *, hw: tuple[int, int]) -> FloatArray:
     """Share of the light that the lens lets through.
 
     Args:
@@ -202,7 +201,7 @@ def vignetting_at(sensor: Sensor, rows_columns: tuple[FloatMatrix, FloatMatrix],
     return np.asarray(1 / (1 + r2 * t2) ** 2)
 
 
-def _rows_columns(hw: tuple[int, int]) -> tuple[FloatMatrix, FloatMatrix]:
+def _rows_columns(hw: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
     return np.arange(hw[0], dtype=np.float64)[:, None], np.arange(hw[1], dtype=np.float64)[None]
 
 
@@ -215,5 +214,5 @@ def _mosaic(image: FloatImage, pattern: str) -> FloatImage:
     return mosaic
 
 
-def _triple(values: FloatMatrix) -> Triple:
+def _triple(values: FloatArray) -> Triple:
     return float(values[0]), float(values[1]), float(values[2])

@@ -13,15 +13,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatMap = NDArray[np.float32]
-Polygon = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray, FloatMap
+
 Box = tuple[int, int, int, int]
 
 _SUBPIXEL_BITS = 4
 _SUPERSAMPLING = 4
 
 
-def random_outline(rng: np.random.Generator) -> Polygon:
+def random_outline(rng: np.random.Generator) -> FloatArray:
     """Draw the outline of some object: a blob, a stone, a box, a disk, a pot.
 
     Args:
@@ -34,7 +34,7 @@ def random_outline(rng: np.random.Generator) -> Polygon:
     return draw(rng)
 
 
-def leaf_outline(rng: np.random.Generator) -> Polygon:
+def leaf_outline(rng: np.random.Generator) -> FloatArray:
     """Draw a pointed, bent leaf from (0, 0) to about (1, 0), its width 5 to 25 % of its length.
 
     Args:
@@ -52,8 +52,8 @@ def leaf_outline(rng: np.random.Generator) -> Polygon:
 
 
 def placed(
-    outline: Polygon, *, centre_xy: tuple[float, float], radii_px: tuple[float, float], angle_rad: float
-) -> Polygon:
+    outline: FloatArray, *, centre_xy: tuple[float, float], radii_px: tuple[float, float], angle_rad: float
+) -> FloatArray:
     """Scale, turn and move an outline.
 
     Args:
@@ -71,7 +71,7 @@ def placed(
     return np.asarray(turned + np.asarray(centre_xy), dtype=np.float64)
 
 
-def box_of(polygon: Polygon, *, limits: Box) -> Box | None:
+def box_of(polygon: FloatArray, *, limits: Box) -> Box | None:
     """Find the window a polygon needs, with a margin of two pixels.
 
     Args:
@@ -88,7 +88,7 @@ def box_of(polygon: Polygon, *, limits: Box) -> Box | None:
     return (x0, y0, x1, y1) if x1 - x0 >= 2 and y1 - y0 >= 2 else None
 
 
-def filled(polygon: Polygon, *, box: Box, holes: tuple[Polygon, ...] = ()) -> FloatMap:
+def filled(polygon: FloatArray, *, box: Box, holes: tuple[FloatArray, ...] = ()) -> FloatMap:
     """Fill a polygon, antialiased.
 
     Args:
@@ -173,12 +173,12 @@ def _around(count: int) -> NDArray[np.float64]:
     return np.linspace(0.0, 2 * math.pi, count, endpoint=False)
 
 
-def _from_polar(radius: NDArray[np.float64], angle_rad: NDArray[np.float64]) -> Polygon:
+def _from_polar(radius: NDArray[np.float64], angle_rad: NDArray[np.float64]) -> FloatArray:
     polygon = np.stack([radius * np.cos(angle_rad), radius * np.sin(angle_rad)], axis=1)
     return np.asarray(polygon / np.abs(polygon).max(), dtype=np.float64)
 
 
-def _blob(rng: np.random.Generator) -> Polygon:
+def _blob(rng: np.random.Generator) -> FloatArray:
     angle_rad = _around(48)
     radius = np.ones(48)
     for harmonic in range(2, 7):
@@ -187,13 +187,13 @@ def _blob(rng: np.random.Generator) -> Polygon:
     return _from_polar(np.maximum(radius, 0.15), angle_rad)
 
 
-def _stone(rng: np.random.Generator) -> Polygon:
+def _stone(rng: np.random.Generator) -> FloatArray:
     count = int(rng.integers(3, 9))
     angle_rad = _around(count) + rng.uniform(-0.35, 0.35, count) * 2 * math.pi / count
     return _from_polar(rng.uniform(0.65, 1.0, count), angle_rad)
 
 
-def _box(rng: np.random.Generator) -> Polygon:
+def _box(rng: np.random.Generator) -> FloatArray:
     skew, taper = rng.uniform(-0.25, 0.25), rng.uniform(0.7, 1.0)
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     if rng.random() < 0.5:
@@ -203,11 +203,11 @@ def _box(rng: np.random.Generator) -> Polygon:
     return np.asarray(corners * 0.8, dtype=np.float64)
 
 
-def _disk(rng: np.random.Generator) -> Polygon:
+def _disk(rng: np.random.Generator) -> FloatArray:
     return _from_polar(np.ones(64), _around(64) + rng.uniform(0, 0.1))
 
 
-def _pot(rng: np.random.Generator) -> Polygon:
+def _pot(rng: np.random.Generator) -> FloatArray:
     """A body of revolution seen from the side, upright."""
     t = np.linspace(-1.0, 1.0, 20)
     half_width = 0.5 + rng.uniform(-0.3, 0.3) * t
@@ -219,7 +219,7 @@ def _pot(rng: np.random.Generator) -> Polygon:
     return np.stack([outline_x, outline_y], axis=1) * 0.95
 
 
-_OUTLINES: tuple[Callable[[np.random.Generator], Polygon], ...] = (
+_OUTLINES: tuple[Callable[[np.random.Generator], FloatArray], ...] = (
     _blob,
     _blob,
     _stone,

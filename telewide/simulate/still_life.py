@@ -12,14 +12,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.simulate import shapes
 from telewide.simulate.layers import Layer, LayeredScene, disparity_range_px
-from telewide.simulate.texture import Colour, band_noise, drawn_texture
-
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
+from telewide.simulate.texture import band_noise, drawn_texture
 
 _PALETTES = (
     ("#264653", "#2a9d8f", "#e9c46a", "#f4a261", "#e76f51"),
@@ -55,9 +52,9 @@ class _Stage:
     box: shapes.Box
     far_px: float
     near_px: float
-    colours: tuple[Colour, ...]
+    colours: tuple[FloatImage, ...]
 
-    def two_colours(self) -> tuple[Colour, Colour]:
+    def two_colours(self) -> tuple[FloatImage, FloatImage]:
         """Draw two different colours of the palette."""
         first, second = self.rng.choice(len(self.colours), 2, replace=False)
         return self.colours[int(first)], self.colours[int(second)]
@@ -102,7 +99,7 @@ def still_life(
     return LayeredScene((_wall(stage), floor, *standing), hw)
 
 
-def _colour(code: str) -> Colour:
+def _colour(code: str) -> FloatImage:
     return np.array([int(code[i : i + 2], 16) / 255 for i in (1, 3, 5)], np.float32)
 
 

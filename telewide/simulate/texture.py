@@ -12,9 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
-Colour = NDArray[np.float32]
+from telewide.geometry.arrays import FloatImage, FloatMap
 
 
 def photo_texture(
@@ -70,7 +68,7 @@ def weak_texture(rng: np.random.Generator, photo: FloatImage | None, *, hw: tupl
 
 
 def drawn_texture(
-    rng: np.random.Generator, *, hw: tuple[int, int], colours: tuple[Colour, Colour] | None = None
+    rng: np.random.Generator, *, hw: tuple[int, int], colours: tuple[FloatImage, FloatImage] | None = None
 ) -> FloatImage:
     """Draw a pattern of two colours: clouds, stripes, checks, dots or speckle.
 
@@ -204,7 +202,7 @@ _PATTERNS: tuple[Callable[[np.random.Generator, tuple[int, int]], FloatMap], ...
 )
 
 
-def _two_colours(rng: np.random.Generator) -> tuple[Colour, Colour]:
+def _two_colours(rng: np.random.Generator) -> tuple[FloatImage, FloatImage]:
     """Two colours of one family or of two, apart in brightness."""
     base = rng.uniform(0.1, 0.9, 3)
     other = base + rng.normal(0.0, 0.25, 3) + rng.choice([-1.0, 1.0]) * rng.uniform(0.12, 0.45)

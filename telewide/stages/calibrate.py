@@ -28,7 +28,7 @@ from telewide.capture.exif import common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, TelewideError
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatMap
 from telewide.pages.report import NextStep
 from telewide.pages.rig_report import write_rig_report
 from telewide.stages.observer import Observer

@@ -18,7 +18,6 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import CameraStd, TransformStd
@@ -39,9 +38,9 @@ from telewide.capture.pair import Capture, Problem, find_captures
 from telewide.correction.rectify import rectify_pair
 from telewide.correction.refinement import fit_shot, refined_rig
 from telewide.errors import InputError, TelewideError, UsageError
+from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.camera import focal_px_from_f35
 from telewide.geometry.rig import Camera
-from telewide.geometry.stereo import FloatMap
 from telewide.pages.report import NextStep
 from telewide.pages.scenes_report import SceneView, write_scenes_report
 from telewide.points.matches import Matches
@@ -50,7 +49,6 @@ from telewide.stages.calibrate import stated_rig
 from telewide.stages.observer import Observer
 from telewide.text import Call, command_line, counted
 
-FloatArray = NDArray[np.float64]
 Hw = tuple[int, int]
 
 _PREVIEW_WIDTH_PX = 1000

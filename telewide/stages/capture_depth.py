@@ -29,8 +29,9 @@ from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError, within_memory
 from telewide.files import fingerprint
 from telewide.folders import refuse_links
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
-from telewide.geometry.stereo import DisparityMap, FloatMap, resize_disparity
+from telewide.geometry.stereo import DisparityMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.kept_depth import KEPT_NAME, KeptDepth, read_kept, write_kept

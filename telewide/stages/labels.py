@@ -11,7 +11,7 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_pfm, write_pfm
 from telewide.capture.pair import RectifiedPair, read_pair
 from telewide.errors import InputError, UsageError
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatMap
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.stages.pairs import PreparedSet

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Protocol
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window

@@ -15,15 +15,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.capture.images import read_pfm
 from telewide.capture.pair import Capture, PairReader
+from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.simulate.degrade import degrade, random_degradation
 from telewide.simulate.scene import random_scene, render_pair
-
-FloatImage = NDArray[np.float32]
-FloatMap = NDArray[np.float32]
 
 _TEXTURE_PHOTOS = 3
 _ZOOM = (0.75, 1.2)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rig_worlds import phone_rig, photos_of_a_plane
 
 from telewide.benchmark.contenders import Contender
@@ -16,6 +15,7 @@ from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_s
 from telewide.capture.images import read_pfm, write_image
 from telewide.capture.pair import find_captures
 from telewide.errors import UsageError
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.window import Window
 from telewide.recipe import Recipe
@@ -23,14 +23,13 @@ from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
 
-Map = NDArray[np.float32]
 OFF_PX = 2.0
 
 
-def answering(name: str, disparity_px: Map) -> Contender:
+def answering(name: str, disparity_px: FloatMap) -> Contender:
     """A matcher that always gives one map."""
 
-    def match(ref: Map, src: Map, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
         assert ref.shape == src.shape == (*disparity_px.shape, 3)
         return DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
 
@@ -71,7 +70,7 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "captures", folder / "rigs" / "phone.yaml"
 
 
-def flat(ref: Map, src: Map, window: Window) -> DisparityMap:
+def flat(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
     height, width = ref.shape[:2]
     return DisparityMap(*(np.zeros((height, width), kind) for kind in (np.float32, np.float32, np.bool_)))
 
@@ -94,7 +93,7 @@ def test_all_search_what_the_captures_need_and_networks_were_trained_for(capture
     searched: dict[str, Window] = {}
 
     def note(name: str, trained: Window | None) -> Entrant:
-        def match(ref: Map, src: Map, window: Window) -> DisparityMap:
+        def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
             searched[name] = window
             return flat(ref, src, window)
 

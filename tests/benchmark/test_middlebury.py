@@ -5,7 +5,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from telewide.benchmark.contenders import Contender, semiglobal_contender
 from telewide.benchmark.datasets import middlebury_2006_scenes
@@ -20,18 +19,18 @@ from telewide.benchmark.middlebury import (
 from telewide.benchmark.report import BenchmarkReport
 from telewide.capture.images import write_image
 from telewide.errors import UsageError
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.window import Window
 
 DISPARITY_PX = 9
 HW = (64, 128)
-Map = NDArray[np.float32]
 
 
 def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Contender:
     """A matcher that knows the answer, but in its first columns."""
 
-    def match(ref: Map, src: Map, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
         assert window == WINDOW
         found_px = np.full(ref.shape[:2], disparity_px, np.float32)
         found_px[:, :wrong_columns] = 70

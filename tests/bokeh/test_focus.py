@@ -11,7 +11,7 @@ from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.picture import BokehOptions, focus_note
 from telewide.capture.images import read_pfm
 from telewide.errors import InputError, UsageError
-from telewide.geometry.stereo import FloatMap
+from telewide.geometry.arrays import FloatMap
 from telewide.simulate.captures import write_captures
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from telewide.boards.detection import BoardView
 from telewide.boards.shots import DetectedShot
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
-
-FloatArray = NDArray[np.float64]
 
 SQUARE_M = 0.04
 

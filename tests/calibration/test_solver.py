@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration.known_rig import World, camera, phone, rotation_error_rad
-from numpy.typing import NDArray
 
 from telewide.boards.detection import BoardView
 from telewide.boards.shots import DetectedShot
@@ -14,9 +13,8 @@ from telewide.calibration.quality import Check
 from telewide.calibration.result import Calibration
 from telewide.calibration.solver import calibrate_rig
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig, rigid_transform
-
-FloatArray = NDArray[np.float64]
 
 
 def normalised_errors(found: Calibration, true: StereoRig) -> FloatArray:

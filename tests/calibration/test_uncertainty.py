@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration.known_rig import World
-from numpy.typing import NDArray
 
 from telewide.boards.shots import DetectedShot
 from telewide.calibration.bundle import solve_bundle, solve_poses
@@ -15,8 +14,7 @@ from telewide.calibration.distortion import N_LENS, prior_of_lens
 from telewide.calibration.problem import N_SHARED, RIG, Problem, State
 from telewide.calibration.sightings import gather
 from telewide.calibration.uncertainty import Uncertainty, uncertainty
-
-FloatArray = NDArray[np.float64]
+from telewide.geometry.arrays import FloatArray
 
 FREE = np.zeros(N_SHARED, dtype=bool)
 FREE[[0, 2, 3, 4, 5, 6, 7, N_LENS, *(N_LENS + k for k in range(2, 8))]] = True

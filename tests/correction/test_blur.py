@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from textures import textured
 
@@ -22,11 +21,10 @@ from telewide.correction.blur import (
 )
 from telewide.correction.colour import apply_colour, fit_colour
 from telewide.correction.verdict import correct_pair
+from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, find_matches
 from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.layers import Layer, LayeredScene, RenderedPair, render_pair
-
-FloatImage = NDArray[np.float32]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from telewide.capture.layout import find_captures
 from telewide.capture.pair import read_pair
@@ -27,11 +26,11 @@ from telewide.correction.colour_model import (
     transform_image,
 )
 from telewide.correction.verdict import correct_pair
+from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.simulate.layers import RenderedPair
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 
-FloatImage = NDArray[np.float32]
 MATRIX = ((0.86, 0.12, -0.03), (-0.05, 1.08, 0.02), (0.03, -0.16, 1.2))
 
 

@@ -13,9 +13,8 @@ from rigs import PLACES_OF_WIDE_M, phone
 
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig
-
-FloatArray = NDArray[np.float64]
 
 PLANE_NORMAL = np.array([0.15, -0.1, 1.0])  # of tele's frame: PLANE_NORMAL . p = 1.2 m
 PLANE_M = 1.2

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from telewide.correction.rows import apply_vertical, corrected_matches, fit_vertical
+from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.layers import RenderedPair
 
-FloatImage = NDArray[np.float32]
 HW = (480, 640)
 
 

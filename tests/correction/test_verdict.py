@@ -6,17 +6,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.layout import find_captures
 from telewide.capture.pair import RectifiedPair, read_pair
 from telewide.correction.verdict import PairReport, correct_pair, disparity_window, inspect_pair
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatImage
 from telewide.simulate.layers import RenderedPair
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 
-FloatImage = NDArray[np.float32]
 FACTS = CaptureFacts(asymmetry=3.0, rectified=True)
 SILENT = CaptureFacts()
 

@@ -14,7 +14,8 @@ from telewide.capture.facts import CaptureFacts
 from telewide.capture.images import read_pfm
 from telewide.depth.export import png_from_disparity, write_depth
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 
 HW = (40, 56)
 

@@ -11,7 +11,8 @@ from telewide.depth.precision import (
     disparity_std_px,
     lens_shift_std_share,
 )
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 
 F_PX, BASELINE_M = 9000.0, 0.012
 

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rigs import PLACES_OF_WIDE_M, phone
 
 from telewide.depth.unrectify import disparity_on_tele
+from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.stereo import DisparityMap
 
-FloatArray = NDArray[np.float64]
 SHRINK = 16.0
 NEAR_M, FAR_M = 0.8, 2.5
 

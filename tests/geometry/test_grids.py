@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from telewide.geometry.grids import FloatArray, dense_map
+from telewide.geometry.arrays import FloatArray
+from telewide.geometry.grids import dense_map
 
 
 def all_pixels(hw: tuple[int, int]) -> FloatArray:

@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.resample import has_exact_positions, resample
-
-FloatMap = NDArray[np.float32]
 
 of_exact_positions = pytest.mark.skipif(not has_exact_positions(), reason="OpenCV before 5 rounds positions to 1/32 px")
 

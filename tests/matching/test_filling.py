@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatMap
 from telewide.matching.filling import fill_background, fill_rows, weighted_median
-
-FloatMap = NDArray[np.float32]
 
 
 def two_surfaces(*, hw: tuple[int, int] = (60, 80), near_px: float = 30.0, far_px: float = 10.0) -> FloatMap:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching import joint
 from telewide.matching.inference import full_precision, match_with_volume
@@ -19,7 +20,6 @@ from telewide.simulate.layers import RenderedPair, render_pair
 from telewide.simulate.scene import random_scene
 
 WINDOW = (0, 40)
-FloatImage = NDArray[np.float32]
 
 
 @pytest.fixture

@@ -7,14 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import Layer, LayeredScene, RenderedPair, render_pair
-
-FloatImage = NDArray[np.float32]
 
 
 def texture(rng: np.random.Generator, hw: tuple[int, int]) -> FloatImage:

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.pages.contact import ContactRow, contact_sheet, fetch_to_ref, strip, warped_difference
 
 HW = (90, 140)

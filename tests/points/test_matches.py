@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from telewide.benchmark.datasets import read_middlebury_2006
 from telewide.errors import InputError
+from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, consistent_matches, find_matches, split_matches
 from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import RenderedPair
-
-FloatImage = NDArray[np.float32]
 
 
 def disparity_error_px(matches: Matches, truth_px: NDArray[np.float32]) -> NDArray[np.float64]:

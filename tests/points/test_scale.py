@@ -5,15 +5,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from textures import textured
 
 from telewide.capture.images import read_image
 from telewide.correction.asymmetry import compare_factors
+from telewide.geometry.arrays import FloatImage
 from telewide.points.scale import estimate_scale
 from telewide.simulate.degrade import Degradation, degrade_small
-
-FloatImage = NDArray[np.float32]
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from telewide.boards.board import board_points_m, load_board
 from telewide.boards.detection import detect_board
 from telewide.capture.images import read_image, read_pfm
 from telewide.cli.app import app
 from telewide.errors import MissingPartError, UsageError
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.simulate.phone import lenses_of, phone_rig
 from telewide.simulate.room_furniture import bare_room, random_room
@@ -25,8 +25,6 @@ from telewide.simulate.room_render import ApertureSetting, RoomTracer
 from telewide.simulate.room_scene import Room, light, panel
 from telewide.simulate.rooms import RoomShots, board_in, write_rooms
 from telewide.srgb import srgb_from_linear
-
-FloatMap = NDArray[np.float32]
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,9 @@ from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
 from telewide.drawing import upright
 from telewide.errors import UsageError
+from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import rectified_geometry
-from telewide.geometry.stereo import DisparityMap, FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.points.held_out import HeldOut
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture, on_photo
 

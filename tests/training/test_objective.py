@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from training.small import WINDOW, rendered, stage_of, tensor_of
 
+from telewide.geometry.arrays import FloatArray
 from telewide.matching.networks import NetworkOutput, build_network, standardise
 from telewide.matching.volume import plane_disparities_px
 from telewide.training.checkpoint import frozen_extractor
 from telewide.training.objective import Batch, objective
 from telewide.training.options import StageOptions
 from telewide.training.stages import Stage
-
-FloatArray = NDArray[np.float64]
 
 
 def a_batch(n_rehearsed: int, n_captured: int, *, has_labels: bool = False) -> Batch:

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.simulate.raycast.hits import Kind
 from telewide.simulate.raycast.palette import Palette
-from telewide.simulate.raycast.world import Light, Material, Matrix, Solid, Vector, World
+from telewide.simulate.raycast.world import Light, Material, Solid, World
 
 PLAIN_SHARE = 0.22
 """Share of the materials with hardly any texture: with more of them the first steps of a training teach little."""
@@ -149,7 +150,7 @@ def _wall(draft: _Draft) -> Solid:
     return Solid(Kind.PLANE, turn, np.array([0.0, 0.0, 1.0]), np.ones(3), draft.backdrop, waves=waves)
 
 
-def _waves(draft: _Draft, *, extent: float, depth: float) -> Matrix:
+def _waves(draft: _Draft, *, extent: float, depth: float) -> FloatArray:
     """Two or three sines whose slopes stay below about a third, in units of ``extent``."""
     rng = draft.rng
     count = int(rng.integers(1, 4))
@@ -207,7 +208,7 @@ def _in_room(draft: _Draft) -> tuple[_Draft, list[Solid]]:
 # Single things
 
 
-def _place(draft: _Draft, *, radius_px: float) -> tuple[Vector, float]:
+def _place(draft: _Draft, *, radius_px: float) -> tuple[FloatArray, float]:
     """Where a thing of a size stands: its centre, and the length of a pixel there."""
     rng, (height, width) = draft.rng, draft.hw
     inverse = 1 + (draft.nearness - 1) * rng.beta(1.1, 1.1)
@@ -218,7 +219,7 @@ def _place(draft: _Draft, *, radius_px: float) -> tuple[Vector, float]:
     return centre, per_px
 
 
-def _standing(draft: _Draft, centre: Vector, half_height: float) -> Vector:
+def _standing(draft: _Draft, centre: FloatArray, half_height: float) -> FloatArray:
     """Put a thing onto the ground now and then."""
     if draft.ground_y is None or draft.rng.random() < 0.5:
         return centre
@@ -360,11 +361,11 @@ _GROUPS: tuple[Callable[[_Draft], list[Solid]], ...] = (_row, _row, _chair, _pla
 # Directions
 
 
-def _unit(v: NDArray[np.float64]) -> Vector:
+def _unit(v: NDArray[np.float64]) -> FloatArray:
     return np.asarray(v / max(1e-9, float(np.linalg.norm(v))), np.float64)
 
 
-def _rotation(axis: Vector, angle_rad: float) -> Matrix:
+def _rotation(axis: FloatArray, angle_rad: float) -> FloatArray:
     """Rodrigues' formula."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -372,15 +373,15 @@ def _rotation(axis: Vector, angle_rad: float) -> Matrix:
     return np.asarray(turn, np.float64)
 
 
-def _turn_with_z(way: Vector) -> Matrix:
+def _turn_with_z(way: FloatArray) -> FloatArray:
     """A rotation whose third column is ``way``."""
     side = _unit(np.cross([0.0, 1.0, 0.0] if abs(way[1]) < 0.9 else [1.0, 0.0, 0.0], way))
     return np.stack([side, np.cross(way, side), way], axis=1)
 
 
-def _upright(rng: np.random.Generator) -> Matrix:
+def _upright(rng: np.random.Generator) -> FloatArray:
     return _rotation(np.array([0.0, 1.0, 0.0]), rng.uniform(-1.2, 1.2))
 
 
-def _any_turn(rng: np.random.Generator) -> Matrix:
+def _any_turn(rng: np.random.Generator) -> FloatArray:
     return _rotation(_unit(rng.normal(0, 1, 3)), rng.uniform(0, math.pi))

@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import ByteImage, FloatMap
 from telewide.simulate.shapes import leaf_outline, random_outline
-
-FloatMap = NDArray[np.float32]
-ByteMap = NDArray[np.uint8]
 
 _FINE = 4
 """Outlines are drawn so many times finer than their distance map."""
@@ -32,7 +30,7 @@ def draw_outline(rng: np.random.Generator, *, side_px: int) -> FloatMap:
         (h, h) float32 signed distance, texels.
     """
     side = side_px * _FINE
-    canvas: ByteMap = np.zeros((side, side), np.uint8)
+    canvas: ByteImage = np.zeros((side, side), np.uint8)
     _FAMILIES[int(rng.integers(len(_FAMILIES)))](rng, canvas)
     # A border stays free, so that no outline ends at the square's own side.
     canvas[:_FINE], canvas[-_FINE:], canvas[:, :_FINE], canvas[:, -_FINE:] = 0, 0, 0, 0
@@ -42,20 +40,20 @@ def draw_outline(rng: np.random.Generator, *, side_px: int) -> FloatMap:
     return np.asarray(cv2.resize(distance, (side_px, side_px), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _fill(canvas: ByteMap, polygon: NDArray[np.float64], value: int = 255) -> None:
+def _fill(canvas: ByteImage, polygon: NDArray[np.float64], value: int = 255) -> None:
     cv2.fillPoly(canvas, [np.rint((polygon + 1) * canvas.shape[0] / 2 * 16).astype(np.int32)], value, cv2.LINE_8, 4)
 
 
-def _blob(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _blob(rng: np.random.Generator, canvas: ByteImage) -> None:
     _fill(canvas, random_outline(rng) * 0.95)
 
 
-def _leaf(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _leaf(rng: np.random.Generator, canvas: ByteImage) -> None:
     leaf = leaf_outline(rng)
     _fill(canvas, (leaf - [0.5, 0]) * [1.9, rng.uniform(1.9, 3.5)])
 
 
-def _frame(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _frame(rng: np.random.Generator, canvas: ByteImage) -> None:
     """A plate with holes: window, picture frame, chair back."""
     _fill(canvas, random_outline(rng) * 0.95 if rng.random() < 0.4 else _rectangle(-0.95, -0.95, 0.95, 0.95))
     columns, rows = int(rng.integers(1, 5)), int(rng.integers(1, 4))
@@ -66,7 +64,7 @@ def _frame(rng: np.random.Generator, canvas: ByteMap) -> None:
             _fill(canvas, _rectangle(x + rim, y + rim, x + 1.8 / columns - rim, y + 1.8 / rows - rim), 0)
 
 
-def _slats(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _slats(rng: np.random.Generator, canvas: ByteImage) -> None:
     """Bars side by side: fence, railing, blinds."""
     count = int(rng.integers(3, 14))
     share = rng.uniform(0.12, 0.65)
@@ -79,7 +77,7 @@ def _slats(rng: np.random.Generator, canvas: ByteMap) -> None:
         canvas[:] = canvas.T
 
 
-def _twig(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _twig(rng: np.random.Generator, canvas: ByteImage) -> None:
     """A branch that forks, with or without leaves."""
     side = canvas.shape[0]
     has_leaves = rng.random() < 0.7
@@ -97,12 +95,12 @@ def _twig(rng: np.random.Generator, canvas: ByteMap) -> None:
             stack += [(end, angle + rng.normal(0, 0.6), width * 0.7, depth + 1) for _ in range(forks)]
 
 
-def _place_leaf(rng: np.random.Generator, canvas: ByteMap, at: NDArray[np.float64], angle: float) -> None:
+def _place_leaf(rng: np.random.Generator, canvas: ByteImage, at: NDArray[np.float64], angle: float) -> None:
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
     _fill(canvas, leaf_outline(rng) * [1, 2.0] * rng.uniform(0.12, 0.4) @ turn + at)
 
 
-def _cable(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _cable(rng: np.random.Generator, canvas: ByteImage) -> None:
     """Hanging lines and curls, thin."""
     side = canvas.shape[0]
     for _ in range(int(rng.integers(1, 5))):
@@ -115,7 +113,7 @@ def _cable(rng: np.random.Generator, canvas: ByteMap) -> None:
         cv2.polylines(canvas, [fixed], False, 255, int(rng.integers(5, 22)), cv2.LINE_8, 4)
 
 
-def _mesh(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _mesh(rng: np.random.Generator, canvas: ByteImage) -> None:
     """Crossed bars: grid, trellis, net."""
     for _ in range(2):
         count, share = int(rng.integers(3, 10)), rng.uniform(0.08, 0.3)
@@ -125,7 +123,7 @@ def _mesh(rng: np.random.Generator, canvas: ByteMap) -> None:
         canvas[:] = canvas.T.copy()
 
 
-def _letters(rng: np.random.Generator, canvas: ByteMap) -> None:
+def _letters(rng: np.random.Generator, canvas: ByteImage) -> None:
     side = canvas.shape[0]
     text = "".join(chr(int(c)) for c in rng.integers(65, 91, int(rng.integers(1, 4))))
     scale = side / 30 / len(text)
@@ -137,7 +135,7 @@ def _rectangle(x0: float, y0: float, x1: float, y1: float) -> NDArray[np.float64
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-_FAMILIES: tuple[Callable[[np.random.Generator, ByteMap], None], ...] = (
+_FAMILIES: tuple[Callable[[np.random.Generator, ByteImage], None], ...] = (
     _blob,
     _blob,
     _blob,

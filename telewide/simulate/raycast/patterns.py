@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatImage
 from telewide.simulate.texture import band_noise, drawn_texture, photo_texture, tiled_texture
-
-FloatImage = NDArray[np.float32]
 
 PHOTO_SHARE = 0.6
 """Share of the textures that are cut from photos where there are any."""

@@ -10,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from telewide.geometry.arrays import FloatArray
 from telewide.simulate.raycast.hits import Kind
-
-Matrix = NDArray[np.float64]
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -60,17 +57,17 @@ class Solid:
     """
 
     kind: Kind
-    turn: Matrix
-    centre: Vector
-    half_size: Vector
+    turn: FloatArray
+    centre: FloatArray
+    half_size: FloatArray
     material: Material
     taper: float = 0.0
     outline: int | None = None
-    waves: Matrix | None = None
+    waves: FloatArray | None = None
     casts_shadow: bool = False
 
     @property
-    def local_from_world(self) -> Matrix:
+    def local_from_world(self) -> FloatArray:
         """(3, 3) linear part of the way into local coordinates."""
         return np.asarray(self.turn.T / self.half_size[:, None])
 
@@ -85,7 +82,7 @@ class Light:
         colour: (3,) of the directed light.
     """
 
-    towards: Vector
+    towards: FloatArray
     ambient: float
     colour: tuple[float, float, float]
 
