@@ -211,27 +211,33 @@ def _figure_checks(evidence: Evidence, *, p90_px: float, cross_px: float) -> Ite
     )
     limits_px = (ODD_EVEN_WIDE_PX[0] * tele_px, ODD_EVEN_WIDE_PX[1] * tele_px)
     yield _at_most("difference of rigs from half the photos", cross_px, limits_px, advice=advice, unit="tele px")
-    if evidence.rig.is_scale_known:
-        baseline_mm = evidence.rig.baseline_m * 1e3
-        advice = (
-            f"The two lenses come out {baseline_mm:.2g} mm apart, nearer than those of any phone: the same lens twice. "
-            "Near or in dim light phones give an enlarged piece of the wide photo as tele. Step back, give more light, "
-            "and look that the phone uses its tele lens; or measure a square of the board."
-        )
-        limits_mm = (LEAST_BASELINE_M * 1e3, LEAST_BASELINE_M * 1e3)
-        yield at_least("distance of the lenses", baseline_mm, limits_mm, advice=advice, unit="mm")
-    relative = evidence.transform_std.baseline_m / max(evidence.rig.baseline_m, 1e-300)
-    advice = (
-        f"The distance of the lenses, and with it every depth, is known to {relative:.1%} only. Take more joint views, "
-        "nearer and tilted."
-    )
-    yield _at_most("distance of the lenses, standard deviation", relative, BASELINE_STD, advice=advice, unit=SHARE)
+    yield from _baseline_checks(evidence)
     excess = float(np.sqrt(evidence.excess))
     advice = (
         f"Views contradict each other {excess:.1f} times more than noise of the corners allows; "
         "the stated deviations count that in. Use a rigid flat board, lock the focus, hold still."
     )
     yield _at_most("contradiction of the photos over corner noise", excess, EXCESS, advice=advice, unit="times")
+
+
+def _baseline_checks(evidence: Evidence) -> Iterator[Check]:
+    """Whether the lenses are two, and how well their distance is known."""
+    if evidence.rig.is_scale_known:
+        baseline_mm, least_mm = evidence.rig.baseline_m * 1e3, LEAST_BASELINE_M * 1e3
+        advice = (
+            f"The two lenses come out {baseline_mm:.2g} mm apart, nearer than those of any phone: the same lens twice. "
+            "Near or in dim light phones give an enlarged piece of the wide photo as tele. Step back, give more light, "
+            "and look that the phone uses its tele lens; or measure a square of the board."
+        )
+        yield at_least("distance of the lenses", baseline_mm, (least_mm, least_mm), advice=advice, unit="mm")
+        if baseline_mm < least_mm:
+            return  # how well nothing is known, and that the board should come nearer, would lead astray
+    relative = evidence.transform_std.baseline_m / max(evidence.rig.baseline_m, 1e-300)
+    advice = (
+        f"The distance of the lenses, and with it every depth, is known to {relative:.1%} only. Take more joint views, "
+        "nearer and tilted."
+    )
+    yield _at_most("distance of the lenses, standard deviation", relative, BASELINE_STD, advice=advice, unit=SHARE)
 
 
 def _at_most(name: str, value: float, limits: tuple[float, float], *, advice: str, unit: str) -> Check:

@@ -126,7 +126,7 @@ def _candidates(folder: Path) -> _Candidates:
     own_name = _normal(folder.resolve().name) or "capture"
     for entry in _visible(folder):
         role = entry.name.casefold()
-        if entry.is_dir() and role in {*VIEWS, TRUTH}:
+        if entry.is_dir() and role in {*VIEWS, TRUTH} and not _holds_both_views(entry):
             for file in _files(entry):
                 found[_normal(file.stem), "split"][_role_or_unread(file, role)].append(file)
         elif entry.is_dir():
@@ -167,6 +167,11 @@ def joined_by_case(groups: Mapping[str, Mapping[str, list[Path]]]) -> dict[str, 
             named = next((name for name in names if "tele" in groups[name]), names[0])
             joined[named] = {role: files for name in names for role, files in groups[name].items()}
     return joined
+
+
+def _holds_both_views(folder: Path) -> bool:
+    """Whether a folder is one capture, whatever its name: of a photo that was called tele, for instance."""
+    return {file.stem.casefold() for file in _files(folder)}.issuperset(VIEWS)
 
 
 def _add_capture_folder(found: _Candidates, folder: Path) -> None:

@@ -135,3 +135,4 @@ def test_a_baseline_that_no_phone_has_is_the_same_lens_twice() -> None:
     assert (distance.status, distance.unit) == ("fail", "mm")
     assert "the same lens twice" in distance.advice
     assert found.quality.verdict == "insufficient"
+    assert not any("nearer and tilted" in each.advice for each in found.quality.checks)

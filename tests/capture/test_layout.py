@@ -58,6 +58,13 @@ def test_every_layout(tmp_path: Path, tele: str, wide: str) -> None:
     assert captures.problems == ()
 
 
+def test_a_capture_that_is_called_like_a_view_is_a_capture(tmp_path: Path) -> None:
+    captures = find_captures(
+        fill(tmp_path, ["tele/tele.jpg", "tele/wide.jpg", "wide/B.jpg", "A/tele.jpg", "A/wide.jpg"])
+    )
+    assert found(captures) == {"A": ("A/tele.jpg", "A/wide.jpg"), "tele": ("tele/tele.jpg", "tele/wide.jpg")}
+
+
 def test_layouts_mix_and_names_are_sorted(tmp_path: Path) -> None:
     names = ["c/tele.png", "c/wide.png", "b_tele.png", "b_wide.png", "tele/a.png", "wide/a.png"]
     captures = find_captures(fill(tmp_path, names))
