@@ -10,8 +10,9 @@ from pydantic import Field, field_validator
 from telewide.assets import find_asset
 from telewide.errors import InputError, UsageError
 from telewide.files import read_yaml
-from telewide.matching.window import MAX_DISPARITY_PX, check_stated_window
+from telewide.matching.window import check_stated_window
 from telewide.options import Options, apply_settings, parse_options
+from telewide.ranges import MAX_DISPARITY_PX, MAX_SEED
 from telewide.training.options import TrainOptions
 
 DEFAULT_RECIPE = "default"
@@ -33,7 +34,7 @@ class Recipe(Options):
     """One line for people."""
     network: str = "lite"
     """Name of the network."""
-    seed: Annotated[int, Field(ge=0, lt=1 << 32)] = 0
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     """Of weights and samples."""
     working_width_px: Annotated[int, Field(ge=128, le=MAX_DISPARITY_PX)] = 1536
     """Larger photos are matched at this width; depth comes back at their own size."""

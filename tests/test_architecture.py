@@ -27,6 +27,7 @@ LAYERS = {
     "options": 0,
     "npz": 0,
     "plain": 0,
+    "ranges": 0,
     "assets": 0,
     "cores": 0,
     "files": 0,

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from telewide.calibration.quality import Bound, Status, Verdict
-from telewide.capture.facts import MAX_BASELINE_M
 from telewide.options import Options
+from telewide.ranges import (
+    MAX_BASELINE_M,
+    MAX_CENTRE_SIDES,
+    MAX_DISTORTION,
+    MAX_FOCAL_SIDES,
+    MAX_SIDE_PX,
+    MIN_BASELINE_M,
+)
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -33,14 +41,23 @@ class CameraStdSheet(Options):
 class CameraSheet(Options):
     """A lens at one photo size."""
 
-    width_px: Annotated[int, Field(gt=0)]
-    height_px: Annotated[int, Field(gt=0)]
+    width_px: Annotated[int, Field(gt=0, le=MAX_SIDE_PX)]
+    height_px: Annotated[int, Field(gt=0, le=MAX_SIDE_PX)]
     fx_px: Positive
     fy_px: Positive
     cx_px: Number
     cy_px: Number
-    distortion: tuple[Number, ...]
+    distortion: tuple[Annotated[Number, Field(ge=-MAX_DISTORTION, le=MAX_DISTORTION)], ...]
     std: CameraStdSheet | None = None
+
+    @model_validator(mode="after")
+    def _is_of_a_lens(self) -> CameraSheet:
+        side_px = max(self.width_px, self.height_px)
+        if max(self.fx_px, self.fy_px) > MAX_FOCAL_SIDES * side_px:
+            raise ValueError(f"fx_px and fy_px of at most {MAX_FOCAL_SIDES} times the longer side, {side_px} px")
+        if max(abs(self.cx_px), abs(self.cy_px)) > MAX_CENTRE_SIDES * side_px:
+            raise ValueError(f"cx_px and cy_px within {MAX_CENTRE_SIDES} times the longer side, {side_px} px")
+        return self
 
     @field_validator("distortion")
     @classmethod
@@ -124,11 +141,13 @@ class RigSheet(Options):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> RigSheet:
-        length_m = float(np.linalg.norm(self.wide_from_tele.translation_m))
+        length_m = math.hypot(*self.wide_from_tele.translation_m)
+        if not length_m >= MIN_BASELINE_M:
+            raise ValueError(f"wide_from_tele.translation_m of {MIN_BASELINE_M} or more; found {length_m:g}")
         if abs(length_m - self.baseline_m) > _BASELINE_TOLERANCE * length_m:
             raise ValueError(
                 f"baseline_m as long as wide_from_tele.translation_m, {length_m:.6g}; found {self.baseline_m:g}"
             )
-        if self.is_scale_known and length_m > MAX_BASELINE_M:
+        if length_m > MAX_BASELINE_M:
             raise ValueError(f"baseline_m in metres, at most {MAX_BASELINE_M}; found {length_m:g}")
         return self

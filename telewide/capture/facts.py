@@ -21,13 +21,12 @@ from typing import TYPE_CHECKING, Literal
 
 from telewide.errors import InputError
 from telewide.files import read_yaml
+from telewide.ranges import MAX_ASYMMETRY, MAX_BASELINE_M, MAX_CENTRE_SIDES, MAX_FOCAL_SIDES, MAX_SIDE_PX
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
 FACTS_FILE = "captures.yaml"
-# A phone's lenses are 0.01 m apart, a car's 0.5 m: a larger number was meant in millimetres.
-MAX_BASELINE_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -62,10 +61,12 @@ class CaptureFacts:
             value = getattr(self, name)
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"{name} is {value}; a finite number was expected")
-        if self.asymmetry is not None and self.asymmetry < 1:
-            raise ValueError(f"asymmetry is {self.asymmetry}; it is f_tele / f_wide, 1 or more")
-        if self.f_px is not None and self.f_px <= 0:
+        if self.asymmetry is not None and not 1 <= self.asymmetry <= MAX_ASYMMETRY:
+            raise ValueError(f"asymmetry is {self.asymmetry}; it is f_tele / f_wide, 1 to {MAX_ASYMMETRY:g}")
+        if self.f_px is not None and not 0 < self.f_px <= MAX_FOCAL_SIDES * MAX_SIDE_PX:
             raise ValueError(f"f_px is {self.f_px}; a positive number of pixels was expected")
+        if self.doffs_px is not None and abs(self.doffs_px) > MAX_CENTRE_SIDES * MAX_SIDE_PX:
+            raise ValueError(f"doffs_px is {self.doffs_px}; a difference of two pixel columns was expected")
         if self.baseline_m is not None and not 0 < self.baseline_m <= MAX_BASELINE_M:
             raise ValueError(
                 f"baseline_m is {self.baseline_m}; metres were expected, more than 0 and at most {MAX_BASELINE_M}"

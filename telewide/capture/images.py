@@ -28,10 +28,11 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import develop, show_as_srgb
-from telewide.capture.sizes import MAX_PIXELS, check_size, halved, is_read_halved, say_halved
+from telewide.capture.sizes import check_size, halved, is_read_halved, say_halved
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
+from telewide.ranges import MAX_PIXELS
 
 if TYPE_CHECKING:
     import tifffile

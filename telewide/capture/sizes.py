@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.errors import InputError
+from telewide.ranges import MAX_PIXELS
 
-MAX_PIXELS = 1 << 28
 MAX_WHOLE_PIXELS = 1 << 26
 _log = logging.getLogger("telewide")
 

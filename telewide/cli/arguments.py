@@ -9,6 +9,7 @@ import typer
 
 from telewide.cores import Device
 from telewide.matching.methods import Method
+from telewide.ranges import MAX_SEED
 
 DEFAULT_RIG = Path("rig.yaml")
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
@@ -31,7 +32,6 @@ DistanceOption = Annotated[
         help="A point of the tele photo and its distance, metres; exif: its middle, at the focus EXIF states.",
     ),
 ]
-MAX_SEED = 2**32 - 1
 SeedOption = Annotated[int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of weights and samples.")]
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
 FNumberOption = Annotated[

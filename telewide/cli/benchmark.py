@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import MAX_SEED, DeviceOption, RigOption
+from telewide.cli.arguments import DeviceOption, RigOption
 from telewide.cli.console import console_observer, say
 from telewide.errors import UsageError
+from telewide.ranges import MAX_SEED
 
 if TYPE_CHECKING:
     from telewide.benchmark.report import BenchmarkReport

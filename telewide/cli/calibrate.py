@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import DEFAULT_RIG, MAX_SEED, JsonOption, QuietOption
+from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
 from telewide.cli.console import console_observer, hand_over
 from telewide.errors import QualityError, UsageError
+from telewide.ranges import MAX_SEED
 from telewide.text import command_line
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def _scene_options(
     out: Path, *, baseline_m: float | None, wide_side: str | None, f35: str | None, seed: int
 ) -> SceneOptions:
     from telewide.calibration.scene_rig import SIDES
-    from telewide.capture.facts import MAX_BASELINE_M
+    from telewide.ranges import MAX_BASELINE_M
     from telewide.stages.calibrate_scenes import SceneOptions
 
     if baseline_m is not None and not 0 < baseline_m <= MAX_BASELINE_M:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from telewide.cli.arguments import DEFAULT_RIG, MAX_SEED, JsonOption, QuietOption
+from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
 from telewide.cli.console import bar, print_json, say
 from telewide.errors import UsageError
+from telewide.ranges import MAX_SEED
 from telewide.text import command_line, counted
 
 if TYPE_CHECKING:

@@ -25,6 +25,7 @@ import numpy as np
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import Camera, StereoRig
+from telewide.ranges import MAX_CANVAS
 
 MARGIN_SHARE = 1 / 16
 """Margin for the disparities, of the width of the tele photo: 12 mm of baseline, 27 degrees of view, 0.4 m."""
@@ -154,6 +155,12 @@ def rectified_geometry(
     margin_px = known_px + math.floor(extent_px[0] * share + _WHOLE_PX)
     spare_px = np.maximum(shown_wh - extent_px, 0)
     centre_px = np.array([margin_px, 0]) - 0.5 - low_xy * f_px + spare_px / 2
+    if not shown_wh.prod() <= MAX_CANVAS * math.prod(rig.tele.hw):
+        raise InputError(
+            f"the rectified views of this rig would have {shown_wh[0]:.0f} x {shown_wh[1]:.0f} px, its tele photo has "
+            f"{rig.tele.hw[1]} x {rig.tele.hw[0]}",
+            hint="calibrate again",
+        )
     hw = (int(shown_wh[1]), int(shown_wh[0]) + margin_px)
     return RectifiedGeometry(rig, hw, f_px, rect_from_tele, centre_px, float(doffs_px), margin_px)
 

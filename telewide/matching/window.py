@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from telewide.ranges import MAX_DISPARITY_PX, MAX_SPAN_PX
+
 VOLUME_STEP_PX = 4
-MAX_DISPARITY_PX, MAX_SPAN_PX = 8192, 4096
 Window = tuple[int, int]
 
 

@@ -180,3 +180,11 @@ def test_rigs_that_cannot_be_rectified_are_refused(
 def test_a_working_width_needs_room_for_its_margin() -> None:
     with pytest.raises(ValueError, match="no room"):
         rectified_geometry(phone(), working_width_px=100, disparity_margin_px=100)
+
+
+def test_a_rig_whose_views_would_not_fit_into_memory_is_refused() -> None:
+    rig = phone()
+    squeezed = rig.tele.K.copy()
+    squeezed[0, 0] *= 100
+    with pytest.raises(InputError, match="rectified views of this rig would have"):
+        rectified_geometry(replace(rig, tele=replace(rig.tele, K=squeezed)))
