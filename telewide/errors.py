@@ -1,7 +1,7 @@
 """The errors a user can cause, each with the exit code the command line gives it.
 
-Exit codes: 0 done, 1 our own fault, 2 usage, 3 bad input, 4 quality gate, 5 missing optional part, 130 interrupted,
-141 nobody reads what it writes, 143 terminated.
+Exit codes: 0 done, 1 our own fault, 2 usage, 3 bad input, 4 quality gate, 5 a missing part (an extra, a device, space),
+130 interrupted, 141 nobody reads what it writes, 143 terminated.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class QualityError(TelewideError):
 
 
 class MissingPartError(TelewideError):
-    """An optional part (an extra, a device) is not installed."""
+    """Something the machine lacks: an extra, a device, space on its disk."""
 
     exit_code = 5
 

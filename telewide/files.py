@@ -28,7 +28,7 @@ from typing import NoReturn
 
 import yaml
 
-from telewide.errors import InputError, TelewideError, UsageError
+from telewide.errors import InputError, MissingPartError, TelewideError, UsageError
 
 MAX_YAML_BYTES = 1 << 18
 MAX_JSON_BYTES = 1 << 26
@@ -274,7 +274,7 @@ def replacing(path: Path) -> Iterator[Path]:
         The temporary path to write to, in the same folder.
 
     Raises:
-        TelewideError: the disk is full.
+        MissingPartError: the disk is full.
         UsageError: the place cannot be written.
     """
     temporary = path.with_name(temporary_name(path.suffix))
@@ -378,8 +378,8 @@ def _flush_folder(folder: Path) -> None:
 def _write_error(path: Path, error: OSError) -> TelewideError:
     reason = error.strerror or str(error)
     if error.errno in _FULL:
-        return TelewideError(
+        return MissingPartError(
             f"{path} was not written: {reason}; an older file of that name is unchanged",
-            hint="free some space, or name another run folder, and run the command again",
+            hint="free some space, or name a folder on another disk, and run the command again",
         )
     return UsageError(f"{path} cannot be written: {reason}", hint="name a folder that can be written to")

@@ -11,6 +11,7 @@ from pathlib import Path
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.pair import CaptureSet, find_captures
 from telewide.cores import Device
+from telewide.errors import UsageError
 from telewide.folders import alone_in, refuse_links
 from telewide.recipe import Recipe
 from telewide.stages.observer import Observer
@@ -69,6 +70,10 @@ def begun(
         InputError: photos straight from a phone have no rig; a folder in the run folder is a link.
     """
     folder, captures = locate_run(run, captures_root), find_captures(captures_root)
+    if folder.root.resolve() == captures_root.resolve():
+        raise UsageError(
+            f"{captures_root} holds the captures; a run needs a folder of its own", hint="name another one"
+        )
     found_rig = locate_rig(rig, captures)
     refuse_without_rig(captures, rig=found_rig)
     for place in (folder.pairs, folder.train, folder.depth):

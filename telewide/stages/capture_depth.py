@@ -6,6 +6,7 @@ Letters: H W image.
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,14 +28,24 @@ from telewide.depth.precision_notes import hardly_known_notes, pinned_shot, with
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError, within_memory
-from telewide.files import fingerprint
-from telewide.folders import refuse_links
+from telewide.files import fingerprint, replacing
+from telewide.folders import fresh_folder, refuse_links
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, resize_disparity
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
-from telewide.stages.kept_depth import KEPT_NAME, KeptDepth, read_kept, write_kept
+from telewide.stages.kept_depth import (
+    BOKEH_NAME,
+    FILE_NAMES,
+    KEPT_NAME,
+    KeptDepth,
+    listed_files,
+    put_in_place,
+    read_kept,
+    refuse_foreign_files,
+    write_kept,
+)
 
 Match = Callable[[FloatMap, FloatMap], DisparityMap]
 
@@ -131,11 +142,13 @@ def depth_of_capture(
         refuse_links(folder.parent, folder)
         lying = made = read_kept(folder, key)
         if made is None:
+            refuse_foreign_files(folder, (*FILE_NAMES[: None if bokeh else -1], KEPT_NAME))
             with within_memory("its depth"):
                 computed = _compute(source, held_out, facts=facts, match=match, bokeh=bokeh, shot=shot)
-            (folder / KEPT_NAME).unlink(missing_ok=True)  # its files are about to change
-            made = _write(folder, computed)
-            write_kept(folder, made, key=key)
+            with fresh_folder(folder.parent) as new:
+                made = _write(new, computed, former=folder)
+                write_kept(new, made, key=key)
+                put_in_place(new, folder)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
     paths = tuple(folder / name for name in made.files)
@@ -203,18 +216,19 @@ def _blurred(
     return picture, focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh), focused
 
 
-def _write(folder: Path, computed: _Computed) -> KeptDepth:
-    disparity_path, bokeh_path = folder / "disparity.pfm", folder / "bokeh.jpg"
-    before = fingerprint(disparity_path) if disparity_path.is_file() else None
+def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
+    """Write all files of one capture into a folder; a bokeh of earlier stays where the depth beside it is the same."""
     written = write_depth(folder, computed.result, image=computed.photo)
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
     if computed.bokeh_note is not None:
         notes = (*notes, computed.bokeh_note)
     if computed.picture is not None:
-        write_image(bokeh_path, computed.picture, shown_turned_deg=computed.result.rotated_deg)
-        names.append(bokeh_path.name)
-    elif computed.bokeh_note is not None or before != fingerprint(disparity_path):
-        bokeh_path.unlink(missing_ok=True)  # of another blur, or of another depth
+        write_image(folder / BOKEH_NAME, computed.picture, shown_turned_deg=computed.result.rotated_deg)
+        names.append(BOKEH_NAME)
+    elif computed.bokeh_note is None and _has_bokeh_of(former, folder / "disparity.pfm"):
+        with replacing(folder / BOKEH_NAME) as temporary:
+            shutil.copyfile(former / BOKEH_NAME, temporary)
+        names.append(BOKEH_NAME)
     return KeptDepth(tuple(names), notes, computed.numbers, computed.withheld)
 
 
@@ -236,6 +250,14 @@ def depth_on_photo(
     if shot is None:
         return depth_result(name, on_photo(working, photo), facts=facts), (), None
     return _result_of_shot(name, working, photo, shot=shot)
+
+
+def _has_bokeh_of(folder: Path, disparity: Path) -> bool:
+    """Whether a bokeh lies there that was made of this very disparity."""
+    if not {BOKEH_NAME, disparity.name} <= listed_files(folder):
+        return False
+    paths = (folder / BOKEH_NAME, folder / disparity.name)
+    return all(path.is_file() for path in paths) and fingerprint(paths[1]) == fingerprint(disparity)
 
 
 def _result_of_shot(

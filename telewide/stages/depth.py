@@ -111,11 +111,21 @@ def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:
         options: what was asked for.
 
     Raises:
-        UsageError: a bokeh in millimetres without a baseline, a distance without a rig or outside of the photo.
+        UsageError: a bokeh in millimetres without a baseline, a distance without a rig or outside of the photo, or
+            results that would lie among the photos.
     """
+    _refuse_the_photos_folder(call, options.out or call.folder.depth)
     rig = None if call.rig is None else call.rig.rig
     check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
     _check_distance(call, options)
+
+
+def _refuse_the_photos_folder(call: Call, out: Path) -> None:
+    """Results among the photos would be taken for captures, and captures for results."""
+    photos = {call.captures.root, *(capture.tele_path.parent for capture in call.captures.captures)}
+    places = {out, *(out / capture.name for capture in call.captures.captures)}
+    if {path.resolve() for path in photos} & {path.resolve() for path in places}:
+        raise UsageError(f"{out} holds the captures; the results need another folder", hint="name one with --out")
 
 
 def _check_distance(call: Call, options: DepthOptions) -> None:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import os
+import shutil
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from telewide.errors import TelewideError
-from telewide.files import read_json, write_text
+from telewide.depth.export import NPZ_NAME
+from telewide.errors import TelewideError, UsageError
+from telewide.files import read_json, temporary_name, write_text
 
 FORMAT = 4
 KEPT_NAME = "depth.json"
+BOKEH_NAME = "bokeh.jpg"
+FILE_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png", BOKEH_NAME)
+"""Of all files of one capture; some are left out where they cannot be made."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,71 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
         return kept if are_whole else None
     except (TelewideError, ValueError, KeyError, TypeError, AttributeError):  # damaged: it is made again
         return None
+
+
+def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
+    """Refuse to replace files that telewide did not write.
+
+    Args:
+        folder: of one capture.
+        names: of the files that are to be written there.
+
+    Raises:
+        UsageError: one of them lies there, and no ``depth.json`` beside it lists it.
+    """
+    listed = listed_files(folder)
+    foreign = [name for name in names if name not in listed and os.path.lexists(folder / name)]
+    if foreign:
+        raise UsageError(
+            f"{folder} holds {', '.join(foreign)}, which no {KEPT_NAME} there lists as made by telewide",
+            hint="move what is yours, or name another folder with --out",
+        )
+
+
+def listed_files(folder: Path) -> frozenset[str]:
+    """Names of the files in a folder that telewide wrote, ``depth.json`` among them; empty where nothing tells.
+
+    A ``depth.json`` that cannot be read was cut off, and stands for all that is ever written beside it.
+    """
+    path = folder / KEPT_NAME
+    if not path.is_file():
+        return frozenset()
+    try:
+        content = read_json(path)
+    except TelewideError:
+        return frozenset((*FILE_NAMES, KEPT_NAME))
+    listed = (content.get("files_bytes") or content.get("files")) if isinstance(content, dict) else None
+    if not isinstance(listed, dict | list):
+        return frozenset()
+    return frozenset((*(name for name in map(str, listed) if Path(name).name == name), KEPT_NAME))
+
+
+def put_in_place(staged: Path, folder: Path) -> None:
+    """Let all files of a capture appear together, in the place of those listed there; what else lies there stays.
+
+    Where nothing but listed files lies there, one folder is renamed over the other. Beside a file of somebody else's
+    the new ones are renamed one by one, and until all are, ``depth.json`` says that they are not whole.
+
+    Args:
+        staged: folder with the new files, ``depth.json`` among them, beside the other one.
+        folder: of the capture; need not be there.
+    """
+    if not os.path.lexists(folder):
+        staged.rename(folder)
+        return
+    listed = listed_files(folder)
+    if {path.name for path in folder.iterdir()} <= listed:
+        former = folder.with_name(temporary_name(".former"))
+        folder.rename(former)
+        staged.rename(folder)
+        shutil.rmtree(former, ignore_errors=True)
+        return
+    new = sorted(path.name for path in staged.iterdir() if path.name != KEPT_NAME)
+    for name in listed.difference(new, {KEPT_NAME}):
+        (folder / name).unlink(missing_ok=True)
+    write_text(folder / KEPT_NAME, json.dumps({"format": FORMAT, "files_bytes": dict.fromkeys(new)}) + "\n")
+    for name in (*new, KEPT_NAME):
+        (staged / name).replace(folder / name)
 
 
 def _is_file_of(folder: Path, name: str, n_bytes: int) -> bool:

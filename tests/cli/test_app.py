@@ -308,6 +308,24 @@ def test_depth_by_its_defaults(captures: Path, capsys: pytest.CaptureFixture[str
     assert "2 captures" in told.err
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("depth", "captures", "--out", "captures"),
+        ("depth", "captures/000", "--out", "captures"),
+        ("depth", "captures", "--run", "captures"),
+        ("depth", "captures", "--out", "link"),
+    ],
+)
+def test_results_among_the_photos_are_refused(
+    words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("link").symlink_to("captures")
+    before = sorted(captures.rglob("*"))
+    refused(capsys, *words, "--method", "sgm", code=2, names=("holds the captures", "name"))
+    assert sorted(captures.rglob("*")) == before
+
+
 def test_quiet_says_nothing_but_problems(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_cli("depth", "--method", "sgm", "--quiet") == 0
     told = capsys.readouterr()

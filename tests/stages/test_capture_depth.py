@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from telewide.capture.pair import Capture, CaptureFacts
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
 from telewide.drawing import upright
-from telewide.errors import UsageError
+from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap
@@ -190,3 +191,123 @@ def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path
     assert isinstance(outcome, DepthFailure)
     assert "more memory than there is" in outcome.problem.message
     assert not (tmp_path / "depth.npz").exists()
+
+
+def depth_made(capture: Capture, folder: Path, *, bokeh: BokehOptions | None, turn: int) -> DepthOutcome | DepthFailure:
+    """Depth by a match that differs from turn to turn."""
+
+    def match(ref: FloatMap, src: FloatMap) -> DisparityMap:
+        seen = stepped(ref, src)
+        return dataclasses.replace(seen, disparity_px=seen.disparity_px + np.float32(turn))
+
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    key: dict[str, object] = {"turn": turn, "bokeh": bokeh is not None}
+    return depth_of_capture(capture, held_out, folder, facts=FACTS, match=match, bokeh=bokeh, key=key)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_files_that_telewide_did_not_write_are_neither_replaced_nor_removed(capture: Capture, tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for name in ("bokeh.jpg", "disparity.png", "notes.txt"):
+        (folder / name).write_bytes(b"mine")
+    before = contents(folder)
+    for bokeh in (BokehOptions(), None):
+        failed = depth_made(capture, folder, bokeh=bokeh, turn=0)
+        assert isinstance(failed, DepthFailure)
+        assert "disparity.png" in failed.problem.message
+        assert contents(folder) == before
+    (folder / "disparity.png").unlink()
+    assert isinstance(depth_made(capture, folder, bokeh=None, turn=0), DepthOutcome)
+    assert isinstance(depth_made(capture, folder, bokeh=None, turn=300), DepthOutcome)  # too far for a PNG
+    after = contents(folder)
+    assert (after["bokeh.jpg"], after["notes.txt"]) == (b"mine", b"mine")
+    assert set(after) == {"bokeh.jpg", "notes.txt", "disparity.pfm", "depth.npz", "preview.png", "depth.json"}
+
+
+def test_a_depth_json_of_somebody_else_is_not_replaced(capture: Capture, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "depth.json").write_text('{"sensor": "lidar"}')
+    assert isinstance(depth_made(capture, tmp_path / "mine", bokeh=None, turn=0), DepthFailure)
+    assert contents(tmp_path / "mine") == {"depth.json": b'{"sensor": "lidar"}'}
+
+
+@pytest.mark.parametrize("has_notes", [False, True])
+@pytest.mark.parametrize(
+    "name", ["disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"]
+)
+def test_all_files_of_a_capture_come_together_or_none(
+    name: str, has_notes: bool, capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full at each of the files in turn: the former ones stay, and nothing is left beside them."""
+    folder = tmp_path / "run" / "one"
+    assert isinstance(depth_made(capture, folder, bokeh=BokehOptions(), turn=0), DepthOutcome)
+    if has_notes:
+        (folder / "notes.txt").write_text("mine")
+    before, replace = contents(folder), Path.replace
+
+    def full_at(path: Path, target: Path) -> Path:
+        if Path(target).name == name and Path(target).parent != folder:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return replace(path, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", full_at)
+        with pytest.raises(MissingPartError, match="No space left"):
+            depth_made(capture, folder, bokeh=BokehOptions(), turn=1)
+    assert contents(folder) == before
+    assert [path.name for path in folder.parent.iterdir()] == ["one"]
+    new = tmp_path / "run" / "two"
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", full_at)
+        with pytest.raises(MissingPartError):
+            depth_made(capture, new, bokeh=BokehOptions(), turn=1)
+    assert not new.exists()
+    assert isinstance(depth_made(capture, folder, bokeh=BokehOptions(), turn=1), DepthOutcome)
+    assert contents(folder)["disparity.pfm"] != before["disparity.pfm"]
+
+
+@pytest.mark.parametrize("stopped_at", range(1, 9))
+def test_a_call_cut_off_while_files_are_put_in_place_is_made_again(
+    stopped_at: int, capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a file of the user's the files are renamed one by one: whatever is there in between counts for nothing."""
+    folder = tmp_path / "run" / "one"
+    assert isinstance(depth_made(capture, folder, bokeh=BokehOptions(), turn=0), DepthOutcome)
+    (folder / "notes.txt").write_text("mine")
+    replace, renamed = Path.replace, []
+
+    def killed(path: Path, target: Path) -> Path:
+        if Path(target).parent == folder:
+            renamed.append(target)
+            if len(renamed) == stopped_at:
+                raise KeyboardInterrupt
+        return replace(path, target)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", killed)
+        try:
+            depth_made(capture, folder, bokeh=None, turn=1)
+        except KeyboardInterrupt:
+            again = depth_made(capture, folder, bokeh=None, turn=1)
+        else:
+            again = depth_made(capture, folder, bokeh=None, turn=1)
+            assert isinstance(again, DepthOutcome)
+            assert again.is_kept
+    assert isinstance(again, DepthOutcome)
+    assert set(contents(folder)) == {*(path.name for path in again.paths), "depth.json", "notes.txt"}
+    assert not (folder / "bokeh.jpg").exists()  # of the former photo
+
+
+def test_a_bokeh_stays_beside_the_same_depth_only(capture: Capture, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    depth_made(capture, folder, bokeh=BokehOptions(), turn=0)
+    same = depth_made(capture, folder, bokeh=None, turn=0)
+    assert isinstance(same, DepthOutcome)
+    assert folder / "bokeh.jpg" in same.paths
+    assert (folder / "bokeh.jpg").is_file()
+    depth_made(capture, folder, bokeh=None, turn=2)
+    assert not (folder / "bokeh.jpg").exists()
