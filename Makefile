@@ -12,7 +12,7 @@ MINIMA := .venv-minima
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo test test-slow test-minima mutants lint bench clean
+.PHONY: setup demo box test test-slow test-minima mutants lint bench clean
 
 setup: $(STAMP)
 
@@ -59,6 +59,10 @@ bench: $(STAMP)
 	@if test -d "$(DATA)/p30"; \
 	then $(BIN)/telewide benchmark matches "$(DATA)/p30" --uncorrected $(RUN_FLAGS); \
 	else echo "left out: no captures at $(DATA)/p30; see the head of the Makefile" >&2; fi
+
+# Continues where it was stopped; some hours bring it near its end.
+box: $(STAMP)
+	$(BIN)/telewide train --recipe box --out box
 
 clean:
 	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache

@@ -76,7 +76,8 @@ def own_imports(module: Module) -> Iterator[tuple[str, int]]:
 
 def is_torch_allowed(name: str) -> bool:
     """Whether a module may import torch."""
-    is_in_place = name.split(".")[0] in {"matching", "training"} or name in {"stages.train", "benchmark.networks"}
+    is_in_place = name.split(".")[0] in {"matching", "training"}
+    is_in_place |= name in {"stages.train", "stages.box", "benchmark.networks"}
     is_in_place |= name.startswith("simulate.raycast.")
     return is_in_place and name != "matching.semiglobal"
 

@@ -15,13 +15,14 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import torch
 
-from telewide.capture.pair import Capture, PairReader
+from telewide.capture.pair import PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.files import read_json, write_text
@@ -130,26 +131,31 @@ def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
 
 def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.device) -> TrainOutcome:
     run, recipe, processes, observer = call.folder, call.recipe, call.processes, call.observer
-    plan = _planned(recipe)
+    plan = planned(recipe)
     if fresh and processes.is_writer:
-        _forget(run)
+        forget(run)
     processes.wait()
     record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=observer)
     processes.wait()  # all have read what the writer now changes
     if state.is_finished:
-        return _outcome(run, plan, state, is_new=False)
+        return outcome_of(run, plan, state, is_new=False)
     observer.searching(record.window)
     if processes.is_writer:
         _note_what_is_taken_up(run, record, state)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
         _label(prepared, record, processes, tick=observer.labelling(len(prepared.pairs)))
     processes.wait()
-    logged = _LoggedReporter(observer, run, prepared, record, is_writer=processes.is_writer)
+    logged = LoggedReporter(observer, run, partial(_rows, prepared, record), is_writer=processes.is_writer)
     run_training(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
-    return _outcome(run, plan, state, is_new=True)
+    return outcome_of(run, plan, state, is_new=True)
 
 
-def _planned(recipe: Recipe) -> tuple[Stage, ...]:
+def planned(recipe: Recipe) -> tuple[Stage, ...]:
+    """List the stages of a recipe.
+
+    Raises:
+        UsageError: there are none.
+    """
     plan = plan_stages(recipe.train)
     if not plan:
         raise UsageError("the recipe has no stage with steps", hint="set train.rehearsal.steps above 0")
@@ -174,7 +180,7 @@ def _take_up(
     """The training that lies in a run folder, and what is new to it; or a new one."""
     kept = read_record(run)
     record = _agreed_record(kept, prepared, recipe)
-    state = _state_for(run, recipe, device)
+    state = state_for(run, recipe, device)
     if kept is not None and state.step + state.stage_index > 0:
         grown = sorted(set(record.captures) - set(kept.captures))
         if grown:
@@ -187,8 +193,8 @@ def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: Traini
     """First that something is left to do, then that new captures are known: a stop in between loses neither."""
     if (run.train / STATE_NAME).is_file():
         save_state(state, run.train / STATE_NAME)
-    _write_record(run, record)
-    _drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
+    write_record(run, record)
+    drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
 
 
 def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:
@@ -234,12 +240,7 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     if kept is None:
         held_out = _choose_held_out(names, recipe)
         return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names)
-    changed = differing_keys(kept.recipe, resolved)
-    if changed:
-        raise UsageError(
-            f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
-            hint="use the same recipe to continue, --fresh to start over, or --out for another run folder",
-        )
+    refuse_another_recipe(kept, resolved)
     # Held-out captures stay: the judge must not change under a network.
     held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
     if not judged:
@@ -255,6 +256,20 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged)
 
 
+def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object]) -> None:
+    """Refuse to go on with a training by another recipe than it was begun with.
+
+    Raises:
+        UsageError: naming the keys that differ.
+    """
+    changed = differing_keys(kept.recipe, resolved)
+    if changed:
+        raise UsageError(
+            f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
+            hint="use the same recipe to continue, --fresh to start over, or --out for another run folder",
+        )
+
+
 def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
     if len(names) < FEWEST_TO_HOLD_OUT:
         return ()
@@ -263,7 +278,8 @@ def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
     return tuple(names[index] for index in sorted(chosen))
 
 
-def _state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingState:
+def state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingState:
+    """Read the training that lies in a run folder, or begin one."""
     path = run.train / STATE_NAME
     if path.is_file():
         return load_state(path, network_name=recipe.network, device=device, plan=plan_stages(recipe.train))
@@ -311,7 +327,7 @@ def _training(
         recipe=record.recipe,
         device=device,
         processes=processes,
-        workers=_workers(device),
+        workers=workers_for(device),
     )
 
 
@@ -327,19 +343,20 @@ def judged_captures(prepared: PreparedSet, record: TrainingRecord, recipe: Recip
     return strips
 
 
-def _workers(device: torch.device) -> int:
+def workers_for(device: torch.device) -> int:
     """One process prepares batches beside two computing cores; a GPU is fed by more, out of its share of the cores."""
     if device.type == "cpu":
         return 1
     return min(8, max(1, usable_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")) - 1))
 
 
-def _outcome(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
+def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
+    """Sum up a finished training."""
     stages = {stage.name: value for stage, value in zip(plan, state.stage_judgements, strict=False)}
     return TrainOutcome(run.weights, is_new, stages, plan[state.best_stage].name)
 
 
-def _forget(run: RunFolder) -> None:
+def forget(run: RunFolder) -> None:
     """Remove the files a training wrote, by their names, and nothing else that may lie there."""
     if run.train.is_dir():
         for path in run.train.iterdir():
@@ -347,7 +364,8 @@ def _forget(run: RunFolder) -> None:
                 path.unlink()
 
 
-def _write_record(run: RunFolder, record: TrainingRecord) -> None:
+def write_record(run: RunFolder, record: TrainingRecord) -> None:
+    """Write ``training.json``."""
     content = {
         "format": FORMAT,
         "recipe": record.recipe,
@@ -359,7 +377,7 @@ def _write_record(run: RunFolder, record: TrainingRecord) -> None:
     write_text(run.training_record, json.dumps(content, indent=2) + "\n")
 
 
-def _drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
+def drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
     """Forget the lines of steps that a resumed training takes again."""
     if path.is_file():
         kept = [line.text for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
@@ -367,22 +385,23 @@ def _drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
 
 
 @dataclass
-class _LoggedReporter:
+class LoggedReporter:
     """Passes everything on, and keeps the log and the contact sheets."""
 
     inner: Reporter
     run: RunFolder
-    prepared: PreparedSet
-    record: TrainingRecord
+    rows: Callable[[StereoNetwork], list[ContactRow]]
     is_writer: bool
     _sums: dict[str, float] = field(default_factory=dict)
     _n_summed: int = 0
 
     def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        """Begin a mean of the losses."""
         self._forget_sums()
         self.inner.stage_started(stage, first_step=first_step)
 
     def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        """Log the mean of some steps."""
         for name, value in losses.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
         self._n_summed += 1
@@ -394,17 +413,20 @@ class _LoggedReporter:
         self.inner.step_done(stage, step=step, losses=losses, seconds=seconds)
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
+        """Log what the judge says."""
         finite = {name: value if math.isfinite(value) else None for name, value in judgement.items()}
         self._log(stage, step, {"judgement": finite})
         self.inner.judged(stage, step=step, judgement=judgement)
 
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
+        """Draw the stage's contact sheet."""
         if self.is_writer:
-            sheet = contact_sheet(self._rows(network), title=f"{stage.name}")
+            sheet = contact_sheet(self.rows(network), title=f"{stage.name}")
             write_sheet(self.run.train / f"{stage.name}.png", sheet)
         self.inner.stage_finished(stage, network=network, judgement=judgement)
 
     def said(self, message: str) -> None:
+        """Pass a line on."""
         self.inner.said(message)
 
     def _forget_sums(self) -> None:
@@ -418,23 +440,16 @@ class _LoggedReporter:
         line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
         append_line(self.run.training_log, json.dumps(line))
 
-    def _rows(self, network: StereoNetwork) -> list[ContactRow]:
-        reader = PairReader(max_bytes=0)
-        return [self._row(reader, capture, network) for capture in self._shown()]
 
-    def _row(self, reader: PairReader, capture: Capture, network: StereoNetwork) -> ContactRow:
+def _rows(prepared: PreparedSet, record: TrainingRecord, network: StereoNetwork) -> list[ContactRow]:
+    """Rows of a contact sheet, held-out captures first: they tell what a new photo would get."""
+    captures = sorted(
+        (item.capture for item in prepared.pairs), key=lambda capture: capture.name not in record.held_out
+    )
+    reader, rows = PairReader(max_bytes=0), []
+    for capture in captures[:SHEET_ROWS]:
         pair = reader.read(capture)
-        disparity = match_with_network(pair.tele, pair.wide, network=network, window=self.record.window)
-        is_held_out = capture.name in self.record.held_out
-        return ContactRow(
-            name=f"{capture.name} (held out)" if is_held_out else capture.name,
-            tele=pair.tele,
-            wide=pair.wide,
-            disparity=disparity,
-            rotated_deg=self.prepared.facts.rotated_deg,
-        )
-
-    def _shown(self) -> list[Capture]:
-        """Held-out captures first: they tell what a new photo would get."""
-        captures = [item.capture for item in self.prepared.pairs]
-        return sorted(captures, key=lambda capture: capture.name not in self.record.held_out)[:SHEET_ROWS]
+        disparity = match_with_network(pair.tele, pair.wide, network=network, window=record.window)
+        name = f"{capture.name} (held out)" if capture.name in record.held_out else capture.name
+        rows.append(ContactRow(name, pair.tele, pair.wide, disparity, rotated_deg=prepared.facts.rotated_deg))
+    return rows

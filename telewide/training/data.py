@@ -17,8 +17,12 @@ from torch.utils.data import DataLoader, Dataset
 from telewide.training.objective import Batch
 from telewide.training.samples import Sample, SampleSource, crop_capture, generator_for, rehearse
 from telewide.training.stages import Stage
+from telewide.training.world_samples import WorldBatches, WorldSource
 
 _REHEARSED, _CAPTURED = 0, 1
+
+Source = SampleSource | WorldSource
+"""Where crops come from."""
 
 
 class StepBatches(Dataset[Batch]):
@@ -64,6 +68,9 @@ class StepBatches(Dataset[Batch]):
         return generator_for(self._seed, self._stage.index, *salt)
 
 
+Batches = StepBatches | WorldBatches
+
+
 def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
     """Stack samples into one batch."""
     return Batch(
@@ -74,7 +81,14 @@ def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
     )
 
 
-def iterate_batches(dataset: StepBatches, *, first_step: int, workers: int) -> Iterator[Batch]:
+def step_batches(source: Source, stage: Stage, *, seed: int, rank: int, world: int) -> Batches:
+    """Batches of a stage, from wherever its crops come."""
+    if isinstance(source, WorldSource):
+        return WorldBatches(source, stage, rank=rank, world=world)
+    return StepBatches(source, stage, seed=seed, rank=rank, world=world)
+
+
+def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Iterator[Batch]:
     """Yield the batches from ``first_step`` to the end of the stage, prepared ahead by worker processes."""
     loader = DataLoader(
         dataset,

@@ -80,6 +80,8 @@ class TrainOptions(Options):
     """How often the held-out matches are asked."""
     patience: Annotated[int, Field(ge=1)] = 3
     """A stage has converged when so many judgements in a row brought nothing better."""
+    worlds: bool = False
+    """Rehearse on ray-cast worlds alone, without captures: how the weights in the box are made."""
     held_out_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.2
     """Share of the captures (of each picture's width, when there are few) kept for judging."""
     asymmetry: tuple[Annotated[float, Field(ge=1)], Annotated[float, Field(ge=1)]] | None = None

@@ -1,0 +1,108 @@
+"""Weights without captures: a training on ray-cast worlds alone, whose result comes with the program.
+
+It lies in a run folder as every training does, stops and goes on likewise; the judge asks worlds of another seed.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from telewide.matching.inference import choose_device, match_with_network
+from telewide.matching.networks import StereoNetwork
+from telewide.pages.contact import ContactRow
+from telewide.recipe import Recipe
+from telewide.stages.observer import Observer
+from telewide.stages.run_folder import RunFolder
+from telewide.stages.train import (
+    SHEET_ROWS,
+    LoggedReporter,
+    TrainingRecord,
+    TrainOutcome,
+    drop_log_after,
+    forget,
+    outcome_of,
+    planned,
+    read_record,
+    refuse_another_recipe,
+    state_for,
+    workers_for,
+    write_record,
+)
+from telewide.training.judge import world_judge
+from telewide.training.loop import Training
+from telewide.training.loop import train as run_training
+from telewide.training.options import StageOptions
+from telewide.training.processes import joined_processes
+from telewide.training.stages import Stage
+from telewide.training.world_samples import WorldBatches, WorldSource
+
+JUDGE_SEED = 1_000_003
+"""Added to the recipe's seed: worlds that no step of the training has seen."""
+JUDGED_STEPS = 8
+
+
+def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: str, observer: Observer) -> TrainOutcome:
+    """Train on worlds, or continue.
+
+    Args:
+        recipe: resolved, with ``train.worlds``.
+        run: run folder.
+        fresh: forget a training that lies there.
+        device: auto, cpu or cuda.
+        observer: is told of the progress.
+
+    Returns:
+        What was reached.
+
+    Raises:
+        UsageError: no stage with steps, or the training there was begun with another recipe.
+        KeyboardInterrupt: stopped by hand; a checkpoint is left.
+    """
+    folder, chosen, plan = RunFolder(run), choose_device(device), planned(recipe)
+    resolved = recipe.model_dump(mode="json")
+    source, judged = (
+        WorldSource(seed=seed, crop_hw=recipe.train.crop_hw) for seed in (recipe.seed, recipe.seed + JUDGE_SEED)
+    )
+    with joined_processes(device) as processes:
+        if fresh and processes.is_writer:
+            forget(folder)
+        processes.wait()
+        kept, state = read_record(folder), state_for(folder, recipe, chosen)
+        if kept is not None:
+            refuse_another_recipe(kept, resolved)
+        processes.wait()  # all have read what the writer now changes
+        if state.is_finished:
+            return outcome_of(folder, plan, state, is_new=False)
+        if kept is not None and state.step + state.stage_index:
+            observer.said(f"resuming {plan[state.stage_index].name} at step {state.step}")
+        if processes.is_writer:
+            write_record(folder, TrainingRecord(resolved, source.window_px, (), (), ()))
+            drop_log_after(folder.training_log, stage_index=state.stage_index, step=state.step)
+        training = Training(
+            folder=folder.train,
+            options=recipe.train,
+            source=source,
+            judge=world_judge(judged, steps=JUDGED_STEPS),
+            seed=recipe.seed,
+            network_name=recipe.network,
+            recipe=resolved,
+            device=chosen,
+            processes=processes,
+            workers=workers_for(chosen),
+        )
+
+        logged = LoggedReporter(observer, folder, partial(_rows, judged), is_writer=processes.is_writer)
+        run_training(training, state, reporter=logged)
+        return outcome_of(folder, plan, state, is_new=True)
+
+
+def _rows(source: WorldSource, network: StereoNetwork) -> list[ContactRow]:
+    """Rows of a contact sheet: crops of the judge's worlds."""
+    batch = WorldBatches(source, Stage("sheet", 0, StageOptions(steps=1, rehearsed=SHEET_ROWS)))[0]
+    views = (view.permute(0, 2, 3, 1).numpy() for view in (batch.ref_BCHW, batch.src_BCHW))
+    rows = []
+    for number, (ref, src) in enumerate(zip(*views, strict=True)):
+        matched = match_with_network(ref, src, network=network, window=batch.window or source.window_px)
+        rows.append(ContactRow(f"world {number}", ref, src, matched))
+    return rows

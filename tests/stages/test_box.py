@@ -1,0 +1,84 @@
+"""A training on worlds alone ends, goes on where it was stopped with the same result, and refuses another recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from telewide.errors import UsageError
+from telewide.recipe import Recipe, load_recipe
+from telewide.stages import box
+from telewide.stages.box import train_box
+from telewide.training import judge, world_samples
+from telewide.training.checkpoint import read_card
+from telewide.training.stages import Stage
+
+SETTINGS = ("network=lite", "train.crop_hw=[64, 96]", "train.rehearsal.rehearsed=2", "train.judge_every_steps=2")
+
+
+class Quiet:
+    """Tells nobody; stops the training where it is told to."""
+
+    def __init__(self, *, stop_at: int | None = None) -> None:
+        self.lines: list[str] = []
+        self._stop_at = stop_at
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None: ...
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        if step == self._stop_at:
+            signal_interrupt()
+
+    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None: ...
+
+    def stage_finished(self, stage: Stage, *, network: object, judgement: Mapping[str, float]) -> None: ...
+
+    def said(self, message: str) -> None:
+        self.lines.append(message)
+
+
+def signal_interrupt() -> None:
+    import signal
+
+    signal.raise_signal(signal.SIGINT)
+
+
+@pytest.fixture(autouse=True)
+def _small_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(world_samples, "WORLD_HW", (80, 128))
+    monkeypatch.setattr(world_samples, "PALETTE_SIZE", 6)
+    monkeypatch.setattr(world_samples, "STRIDE", 1)
+    monkeypatch.setattr(world_samples, "KEPT_WORLDS", 2)
+    monkeypatch.setattr(judge, "JUDGED_CROPS", 1)
+    monkeypatch.setattr(box, "JUDGED_STEPS", 1)
+    monkeypatch.setattr(box, "SHEET_ROWS", 1)
+    # In this process, where the sizes above hold.
+    monkeypatch.setattr(box, "workers_for", lambda device: 0)
+
+
+def recipe(steps: int = 4, *more: str) -> Recipe:
+    lengths = (f"train.rehearsal.steps={steps}", f"train.rehearsal.least_steps={steps}")
+    return load_recipe("box", settings=(*SETTINGS, *lengths, *more))
+
+
+def test_a_stopped_training_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    whole = train_box(recipe(), run=tmp_path / "whole", fresh=False, device="cpu", observer=Quiet())
+    with pytest.raises(KeyboardInterrupt):
+        train_box(recipe(), run=tmp_path / "cut", fresh=False, device="cpu", observer=Quiet(stop_at=3))
+    observer = Quiet()
+    resumed = train_box(recipe(), run=tmp_path / "cut", fresh=False, device="cpu", observer=observer)
+    assert any("resuming rehearsal at step 3" in line for line in observer.lines)
+    first, second = load_file(whole.weights), load_file(resumed.weights)
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert read_card(whole.weights).recipe["train"]["worlds"] is True
+    assert (tmp_path / "whole" / "train" / "rehearsal.png").is_file()
+
+
+def test_another_recipe_does_not_go_on_with_it(tmp_path: Path) -> None:
+    train_box(recipe(2), run=tmp_path, fresh=False, device="cpu", observer=Quiet())
+    with pytest.raises(UsageError, match="seed"):
+        train_box(recipe(2, "seed=9"), run=tmp_path, fresh=False, device="cpu", observer=Quiet())
