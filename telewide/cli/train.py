@@ -1,0 +1,65 @@
+"""``telewide train``: weights from captures without labels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telewide.cli.arguments import (
+    CapturesArgument,
+    DeviceOption,
+    JsonOption,
+    QuietOption,
+    RecipeOption,
+    RigOption,
+    SeedOption,
+    SetOption,
+)
+from telewide.cli.console import console_observer, print_json
+from telewide.text import command_line
+
+TRAIN_EPILOG = "Example: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`"
+
+
+def train(
+    captures: CapturesArgument = Path("captures"),
+    *,
+    recipe: RecipeOption = "default",
+    out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
+    settings: SetOption = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
+    rig: RigOption = None,
+    device: DeviceOption = "auto",
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Train a stereo network on your own captures, without labels; run again to continue."""
+    from telewide.api import train as train_network
+
+    with console_observer(is_quiet=quiet) as observer:
+        outcome = train_network(
+            captures,
+            run=out,
+            recipe=recipe,
+            settings=settings or (),
+            seed=seed,
+            rig=rig,
+            device=device,
+            fresh=fresh,
+            observer=observer,
+        )
+        named = () if captures == Path("captures") else (captures,)
+        observer.said(f"weights: {outcome.weights}")
+        observer.said(f"next: {command_line('depth', *named, run=out, rig=rig, bokeh=True)}")
+    if as_json:
+        print_json(
+            {
+                "weights": str(outcome.weights),
+                "is_new": outcome.is_new,
+                "best_stage": outcome.best_stage,
+                "clipped_px": dict(outcome.stages),
+            }
+        )

@@ -8,6 +8,8 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
+import torch
+
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
@@ -29,11 +31,12 @@ from telewide.stages.train import (
     workers_for,
     write_record,
 )
+from telewide.training.checkpoint import TrainingState
 from telewide.training.judge import world_judge
 from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
 from telewide.training.options import StageOptions
-from telewide.training.processes import joined_processes
+from telewide.training.processes import Processes, joined_processes
 from telewide.training.stages import Stage
 from telewide.training.world_samples import WorldBatches, WorldSource
 
@@ -59,26 +62,14 @@ def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: str, observer: 
         UsageError: no stage with steps, or the training there was begun with another recipe.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
-    folder, chosen, plan = RunFolder(run), choose_device(device), planned(recipe)
-    resolved = recipe.model_dump(mode="json")
+    folder, resolved, chosen = RunFolder(run), recipe.model_dump(mode="json"), choose_device(device)
     source, judged = (
         WorldSource(seed=seed, crop_hw=recipe.train.crop_hw) for seed in (recipe.seed, recipe.seed + JUDGE_SEED)
     )
     with joined_processes(device) as processes:
-        if fresh and processes.is_writer:
-            forget(folder)
-        processes.wait()
-        kept, state = read_record(folder), state_for(folder, recipe, chosen)
-        if kept is not None:
-            refuse_another_recipe(kept, resolved)
-        processes.wait()  # all have read what the writer now changes
+        state = _take_up(folder, recipe, source, device=chosen, fresh=fresh, processes=processes, observer=observer)
         if state.is_finished:
-            return outcome_of(folder, plan, state, is_new=False)
-        if kept is not None and state.step + state.stage_index:
-            observer.said(f"resuming {plan[state.stage_index].name} at step {state.step}")
-        if processes.is_writer:
-            write_record(folder, TrainingRecord(resolved, source.window_px, (), (), ()))
-            drop_log_after(folder.training_log, stage_index=state.stage_index, step=state.step)
+            return outcome_of(folder, planned(recipe), state, is_new=False)
         training = Training(
             folder=folder.train,
             options=recipe.train,
@@ -91,10 +82,36 @@ def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: str, observer: 
             processes=processes,
             workers=workers_for(chosen),
         )
-
         logged = LoggedReporter(observer, folder, partial(_rows, judged), is_writer=processes.is_writer)
         run_training(training, state, reporter=logged)
-        return outcome_of(folder, plan, state, is_new=True)
+        return outcome_of(folder, planned(recipe), state, is_new=True)
+
+
+def _take_up(
+    folder: RunFolder,
+    recipe: Recipe,
+    source: WorldSource,
+    *,
+    device: torch.device,
+    fresh: bool,
+    processes: Processes,
+    observer: Observer,
+) -> TrainingState:
+    """The training that lies in a run folder, or a new one."""
+    resolved = recipe.model_dump(mode="json")
+    if fresh and processes.is_writer:
+        forget(folder)
+    processes.wait()
+    kept, state = read_record(folder), state_for(folder, recipe, device)
+    if kept is not None:
+        refuse_another_recipe(kept, resolved)
+        if state.step + state.stage_index and not state.is_finished:
+            observer.said(f"resuming {planned(recipe)[state.stage_index].name} at step {state.step}")
+    processes.wait()  # all have read what the writer now changes
+    if processes.is_writer and not state.is_finished:
+        write_record(folder, TrainingRecord(resolved, source.window_px, (), (), ()))
+        drop_log_after(folder.training_log, stage_index=state.stage_index, step=state.step)
+    return state
 
 
 def _rows(source: WorldSource, network: StereoNetwork) -> list[ContactRow]:

@@ -1,0 +1,377 @@
+"""The training loop: the only one. A stage says what a step does; the loop takes steps, judges, saves and goes on.
+
+Cut off anywhere, it continues from the last checkpoint with the losses it would have had.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+import torch
+
+from telewide.errors import TelewideError, UsageError
+from telewide.matching.inference import full_precision, low_precision
+from telewide.matching.networks import StereoNetwork, standardise
+from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.training.checkpoint import (
+    STATE_NAME,
+    BestWeights,
+    TrainingState,
+    WeightsCard,
+    frozen_extractor,
+    load_weights,
+    new_optimiser,
+    save_state,
+    save_weights,
+)
+from telewide.training.data import Source, iterate_batches, step_batches
+from telewide.training.objective import Batch, objective
+from telewide.training.options import WEIGHTS_NAME, TrainOptions
+from telewide.training.processes import Processes
+from telewide.training.reporter import Reporter
+from telewide.training.stages import Stage, plan_stages
+
+CHECKPOINT_EVERY_S = 20.0
+WARM_UP_STEPS = 50
+COOL_DOWN_SHARE = 0.25
+LAST_LEARNING_RATE = 0.1
+MAX_GRADIENT_NORM = 1.0
+NARROW_WINDOW_PLANES = 8
+LEAST_GAIN_PX = 0.002
+"""A judgement is better when the mean clipped error falls by this much."""
+
+DECISIVE = "clipped_px"
+"""The figure of a judgement that decides: shares of wrong matches stand still where the matches' own errors begin."""
+
+Judge = Callable[[StereoNetwork], Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class Training:
+    """What stays the same from the first step to the last.
+
+    Attributes:
+        folder: ``train/`` of the run.
+        options: of the recipe.
+        source: where crops come from.
+        judge: asks the held-out matches; its ``clipped_px`` decides.
+        seed: of all samples.
+        network_name: for the weights' card.
+        recipe: resolved recipe, for the weights' card.
+        device: to compute on.
+        processes: this process among all.
+        workers: processes that prepare batches.
+    """
+
+    folder: Path
+    options: TrainOptions
+    source: Source
+    judge: Judge
+    seed: int
+    network_name: str
+    recipe: Mapping[str, object]
+    device: torch.device
+    processes: Processes
+    workers: int
+
+    @property
+    def window(self) -> Window:
+        """Disparities of the volume, px."""
+        return self.source.window_px
+
+
+def train(training: Training, state: TrainingState, *, reporter: Reporter) -> TrainingState:
+    """Run all stages that are left.
+
+    Args:
+        training: data, options, judge.
+        state: new, or read from a checkpoint; changed as training goes on.
+        reporter: hears of it.
+
+    Returns:
+        The same state, finished; its ``average`` holds the best stage's weights.
+
+    Raises:
+        KeyboardInterrupt: asked to stop; the state has been saved.
+        UsageError: more processes than crops in a step.
+        TelewideError: the loss is not finite; the last good checkpoint is kept.
+    """
+    plan = plan_stages(training.options)
+    _check_processes(plan, training.processes)
+    with _stop_request() as is_stop_requested:
+        while not state.is_finished:
+            stage = plan[state.stage_index]
+            if state.step == 0:
+                _begin_stage(state, stage)
+            reporter.stage_started(stage, first_step=state.step)
+            _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
+            _end_stage(training, state, stage, plan, reporter)
+            if training.processes.is_any(is_stop_requested()):  # during the last judgement, or since
+                raise KeyboardInterrupt
+    return state
+
+
+def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
+    for stage in plan:
+        crops = stage.options.rehearsed + stage.options.captured
+        if crops < processes.world:
+            raise UsageError(
+                f"stage {stage.name} has {crops} crops a step, too few for {processes.world} processes",
+                hint=f"start {crops} processes, or set train.{_section(stage)}.rehearsed or .captured higher",
+            )
+
+
+def _begin_stage(state: TrainingState, stage: Stage) -> None:
+    """Start from the last result, with a fresh optimiser (paper, section 4.3)."""
+    state.network.load_state_dict(state.average.state_dict())
+    state.optimiser = new_optimiser(state.network)
+    state.teacher = frozen_extractor(state.average) if stage.needs_teacher else None
+    state.judgements = []
+
+
+def _run_stage(
+    training: Training,
+    state: TrainingState,
+    stage: Stage,
+    reporter: Reporter,
+    *,
+    is_stop_requested: Callable[[], bool],
+) -> None:
+    processes = training.processes
+    dataset = step_batches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
+    if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
+        return  # stopped by hand just before it was asked
+    saved_s = time.monotonic()
+    state.network.train()
+    begun_s = time.monotonic()
+    for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
+        losses = take_step(state, batch.to(training.device), stage, training=training)
+        state.step += 1
+        reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
+        if processes.is_any(is_stop_requested()):
+            _save_underway(training, state, stage)
+            raise KeyboardInterrupt
+        if _is_judgement_due(training, state, stage):
+            if _is_converged(training, state, stage, reporter):
+                break
+            state.network.train()
+        # After the judgement, which would otherwise be missing from the checkpoint of its own step.
+        if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
+            _save_underway(training, state, stage)
+            saved_s = time.monotonic()
+        begun_s = time.monotonic()  # the next step's time holds its wait for the batch
+
+
+def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> dict[str, float]:
+    """Forward, backward, update; the averaged weights follow.
+
+    Args:
+        state: changed in place, but for its counters.
+        batch: this process' crops of the joint batch.
+        stage: losses and learning rate.
+        training: window, processes.
+
+    Returns:
+        The parts of the loss.
+
+    Raises:
+        TelewideError: the loss or its gradient is not finite; weights are as before the step.
+    """
+    for group in state.optimiser.param_groups:
+        group["lr"] = learning_rate(stage, step=state.step)
+    state.optimiser.zero_grad(set_to_none=True)
+    window = batch.window or training.window
+    with _precision(window, training.device):
+        output = state.network(standardise(batch.ref_BCHW), standardise(batch.src_BCHW), window)
+        loss, parts = objective(
+            output,
+            batch,
+            stage,
+            window=window,
+            teacher=state.teacher,
+            global_sum=training.processes.global_sum,
+        )
+    is_good = math.isfinite(float(loss.detach()))
+    if training.processes.is_any(not is_good):
+        raise _diverged("loss", stage, state)
+    torch.autograd.backward(loss)
+    training.processes.sum_gradients(state.network)
+    norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT_NORM)
+    if not math.isfinite(float(norm)):
+        raise _diverged("gradient", stage, state)
+    state.optimiser.step()
+    _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
+    return parts
+
+
+def _precision(window: Window, device: torch.device) -> AbstractContextManager[object]:
+    """bf16, but not on processors in narrow windows.
+
+    There the coarsest volume has two planes, and oneDNN's bf16 gradient of a 3-D convolution over two planes reads
+    memory that nobody has written (seen in torch 2.13: infinite and wrong weights' gradients, every time).
+    """
+    planes = (window[1] - window[0]) // VOLUME_STEP_PX
+    is_narrow = planes <= NARROW_WINDOW_PLANES
+    return full_precision() if is_narrow and device.type == "cpu" else low_precision(device)
+
+
+def _diverged(what: str, stage: Stage, state: TrainingState) -> TelewideError:
+    return TelewideError(
+        f"the {what} of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
+        hint=f"lower the learning rate: --set train.{_section(stage)}.learning_rate=...",
+    )
+
+
+def learning_rate(stage: Stage, *, step: int) -> float:
+    """Warm-up, plateau, and a fall to a tenth over the last quarter of the stage's ceiling."""
+    left = (stage.options.steps - step) / stage.options.steps
+    cooled = LAST_LEARNING_RATE + (1 - LAST_LEARNING_RATE) * min(1.0, left / COOL_DOWN_SHARE)
+    return stage.options.learning_rate * min(1.0, (step + 1) / WARM_UP_STEPS) * cooled
+
+
+def _warm_decay(decay: float, step: int) -> float:
+    return min(decay, (step + 1) / (step + 10))
+
+
+@torch.no_grad()
+def _follow(average: StereoNetwork, network: StereoNetwork, *, decay: float) -> None:
+    torch._foreach_lerp_(list(average.parameters()), list(network.parameters()), 1 - decay)
+    for kept, current in zip(average.buffers(), network.buffers(), strict=True):
+        kept.copy_(current)
+
+
+def _is_judgement_due(training: Training, state: TrainingState, stage: Stage) -> bool:
+    every, last = stage.options.judge_every_steps or training.options.judge_every_steps, stage.options.steps
+    due = state.step // every + (state.step == last and last % every != 0)
+    return len(state.judgements) < due
+
+
+def _is_converged(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> bool:
+    """Ask the held-out matches; True when the last ``patience`` answers brought nothing better."""
+    judgement = _ask(training, state)
+    state.judgements.append(judgement[DECISIVE])
+    _keep_best(state, stage)
+    reporter.judged(stage, step=state.step, judgement=judgement)
+    patience = training.options.patience
+    if state.step < stage.options.counts_from or len(state.judgements) <= patience:
+        return False
+    before, recent = (_least_px(some) for some in (state.judgements[:-patience], state.judgements[-patience:]))
+    return before < math.inf and recent > before - LEAST_GAIN_PX
+
+
+def _least_px(judgements: Sequence[float]) -> float:
+    """The best of some judgements; infinite where none could be made."""
+    return min((judgement for judgement in judgements if not math.isnan(judgement)), default=math.inf)
+
+
+def _keep_best(state: TrainingState, stage: Stage) -> None:
+    """Remember the average as it is if it is the best yet; before the stage's least steps nothing counts."""
+    judgement = state.judgements[-1]
+    is_better = state.best is None or not _is_no_better(judgement, than=state.best.judgement)
+    if state.step >= stage.options.counts_from and is_better:
+        weights = {name: value.clone() for name, value in state.average.state_dict().items()}
+        state.best = BestWeights(state.step, judgement, weights)
+
+
+def _is_no_better(judgement: float, *, than: float) -> bool:
+    """Whether a judgement speaks against what came later; where nothing could be judged at all, the later is taken."""
+    if math.isnan(than):
+        return False
+    return math.isnan(judgement) or judgement >= than
+
+
+def _ask(training: Training, state: TrainingState) -> dict[str, float]:
+    """The writer judges; every process gets the answer, so that all decide alike."""
+    judgement = dict(training.judge(state.average)) if training.processes.is_writer else {}
+    names = ("off_1px", "off_3px", "mean_px", DECISIVE)
+    values = training.processes.from_writer([judgement.get(name, math.nan) for name in names])
+    return dict(zip(names, values, strict=True))
+
+
+def _end_stage(
+    training: Training, state: TrainingState, stage: Stage, plan: tuple[Stage, ...], reporter: Reporter
+) -> None:
+    """Keep the stage's best weights; go on, or stop boosting when it no longer helps."""
+    result = math.nan
+    if state.best is not None:
+        result = state.best.judgement
+        state.average.load_state_dict(state.best.weights)
+        if state.best.step < state.step:
+            reporter.said(f"{stage.name}: the weights of step {state.best.step} are kept, which were judged best")
+    card = _card(training, stage, step=state.best.step if state.best else state.step, judgements=[result])
+    if training.processes.is_writer:
+        save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
+    reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
+    is_worse = bool(state.stage_judgements) and _is_no_better(result, than=state.stage_judgements[state.best_stage])
+    state.stage_judgements.append(result)
+    if not is_worse:
+        state.best_stage = stage.index
+    is_last = stage.index + 1 == len(plan)
+    if is_last or (is_worse and stage.needs_teacher):
+        state.is_finished = True
+        if is_worse:
+            card = _return_to_best(training, state, plan, reporter, worse=stage)
+    else:
+        state.stage_index, state.step, state.best = stage.index + 1, 0, None
+    _save(training, state, card)
+
+
+def _return_to_best(
+    training: Training, state: TrainingState, plan: tuple[Stage, ...], reporter: Reporter, *, worse: Stage
+) -> WeightsCard:
+    best = plan[state.best_stage]
+    reporter.said(f"{worse.name} did not lower the error at held-out matches; {best.name} is kept and boosting ends")
+    network, card = load_weights(training.folder / f"{best.name}.safetensors", device=training.device)
+    state.average.load_state_dict(network.state_dict())
+    return card
+
+
+def _save(training: Training, state: TrainingState, card: WeightsCard) -> None:
+    if training.processes.is_writer:
+        save_state(state, training.folder / STATE_NAME)
+        save_weights(state.average, training.folder / WEIGHTS_NAME, card=card)
+
+
+def _save_underway(training: Training, state: TrainingState, stage: Stage) -> None:
+    _save(training, state, _card(training, stage, step=state.step, judgements=state.judgements[-1:]))
+
+
+def _card(training: Training, stage: Stage, *, step: int, judgements: Sequence[float]) -> WeightsCard:
+    return WeightsCard(
+        network=training.network_name,
+        window=training.window,
+        recipe=training.recipe,
+        training={"stage": stage.name, "step": step, DECISIVE: list(judgements)},
+    )
+
+
+def _section(stage: Stage) -> str:
+    return stage.name.partition("-")[0]
+
+
+@contextmanager
+def _stop_request() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a request that is answered between two steps or stages; the second one is as usual."""
+    requested = False
+
+    def note(signum: int, frame: FrameType | None) -> None:
+        nonlocal requested
+        requested = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    try:
+        previous = signal.signal(signal.SIGINT, note)
+    except ValueError:  # not in the main thread: Ctrl-C does not come here
+        yield lambda: False
+        return
+    try:
+        yield lambda: requested
+    finally:
+        signal.signal(signal.SIGINT, previous)
