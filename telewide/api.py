@@ -295,7 +295,7 @@ def train(
     """Train a network on a folder of captures, without labels, or continue a training.
 
     Args:
-        captures: their folder; a recipe of ``train.worlds`` needs none.
+        captures: their folder.
         run: run folder; None for the one that belongs to the captures.
         recipe: a name, a YAML file, or a resolved recipe.
         settings: dotted overrides such as ``"train.rehearsal.steps=300"``.
@@ -318,16 +318,11 @@ def train(
         True
     """
     from telewide.pipeline import train_captures
-    from telewide.stages.box import train_box
 
-    resolved = recipe if isinstance(recipe, Recipe) else load_recipe(recipe, settings=settings, seed=seed)
-    if resolved.train.worlds:
-        folder = Path("run" if run is None else run)
-        return train_box(resolved, run=folder, fresh=fresh, device=device, observer=observer or Silent())
     return train_captures(
         Path(captures),
         run=None if run is None else Path(run),
-        recipe=resolved,
+        recipe=recipe if isinstance(recipe, Recipe) else load_recipe(recipe, settings=settings, seed=seed),
         fresh=fresh,
         device=device,
         observer=observer or Silent(),

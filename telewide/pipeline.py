@@ -39,7 +39,7 @@ def train_captures(
     """Train on a folder of captures, or continue.
 
     Args:
-        captures_root: folder of the captures.
+        captures_root: folder of the captures; a recipe of ``train.worlds`` needs none.
         run: run folder, or None for the one that belongs to the captures.
         recipe: resolved recipe.
         fresh: start over where a training lies in the run folder.
@@ -54,8 +54,11 @@ def train_captures(
         TelewideError: see `prepare` and `telewide.stages.train.train`.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
+    from telewide.stages.box import train_box
     from telewide.stages.train import train
 
+    if recipe.train.worlds:
+        return train_box(recipe, run=run or Path("run"), fresh=fresh, device=device, observer=observer)
     with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig) as call:
         pairs = prepare(call)
         return train(call, pairs, fresh=fresh)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import torch
 
+from telewide.cores import Device
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
@@ -45,7 +46,7 @@ JUDGE_SEED = 1_000_003
 JUDGED_STEPS = 8
 
 
-def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: str, observer: Observer) -> TrainOutcome:
+def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: Device, observer: Observer) -> TrainOutcome:
     """Train on worlds, or continue.
 
     Args:
