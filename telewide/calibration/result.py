@@ -92,19 +92,6 @@ class ViewResult:
 
 
 @dataclass(frozen=True)
-class BoardPose:
-    """Where the board was in a shot.
-
-    Attributes:
-        shot: name of the shot.
-        tele_from_board: (4, 4) rigid transform, m; also of a shot that only the wide lens took.
-    """
-
-    shot: str
-    tele_from_board: FloatArray
-
-
-@dataclass(frozen=True)
 class Calibration:
     """A rig and everything known about it.
 
@@ -114,7 +101,6 @@ class Calibration:
         wide_std: how sure the wide camera is.
         transform_std: how sure ``wide_from_tele`` is.
         views: every photo in which the board was found, used or not, in the order of the shots, tele before wide.
-        board_poses: of the shots with a used view, in their order.
         half_rigs: rigs from the odd and from the even views, for cross-validation; None with too few joint views.
         quality: what it is worth.
     """
@@ -124,6 +110,5 @@ class Calibration:
     wide_std: CameraStd
     transform_std: TransformStd
     views: tuple[ViewResult, ...]
-    board_poses: tuple[BoardPose, ...]
     half_rigs: tuple[StereoRig, StereoRig] | None
     quality: CalibrationQuality

@@ -28,14 +28,13 @@ from telewide.calibration.extrinsics import (
 from telewide.calibration.intrinsics import LensFit, fit_lens
 from telewide.calibration.model_selection import free_numbers, raised_models
 from telewide.calibration.problem import RIG, Problem, State
-from telewide.calibration.result import BoardPose, Calibration, CameraStd, TransformStd
+from telewide.calibration.result import Calibration, CameraStd, TransformStd
 from telewide.calibration.sightings import MIN_VIEWS, Gathered, gather, square_px
 from telewide.calibration.uncertainty import Uncertainty, uncertainty
 from telewide.calibration.validation import rig_of, validate
 from telewide.calibration.views import view_results
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatArray
-from telewide.geometry.rig import rigid_transform
 
 _ROUNDS = 4
 _CONTRADICTS_SQUARES = 0.25
@@ -102,17 +101,16 @@ def calibrate_rig(
         transform_std=_transform_std(sure, solution.state),
         excess=sure.excess,
     )
-    return _calibration(evidence, board_poses=_board_poses(shots, solution))
+    return _calibration(evidence)
 
 
-def _calibration(evidence: Evidence, *, board_poses: tuple[BoardPose, ...]) -> Calibration:
+def _calibration(evidence: Evidence) -> Calibration:
     return Calibration(
         rig=evidence.rig,
         tele_std=evidence.stds[0],
         wide_std=evidence.stds[1],
         transform_std=evidence.transform_std,
         views=evidence.views,
-        board_poses=board_poses,
         half_rigs=evidence.half_rigs,
         quality=quality_of(evidence),
     )
@@ -264,13 +262,3 @@ def _transform_std(sure: Uncertainty, state: State) -> TransformStd:
     along = state.rig_t / max(float(np.linalg.norm(state.rig_t)), 1e-300)
     baseline_m = float(np.sqrt(max(float(along @ covariance[3:, 3:] @ along), 0.0)))
     return TransformStd(np.degrees(std[:3]), std[3:], baseline_m, covariance.copy())
-
-
-def _board_poses(shots: Sequence[DetectedShot], solution: _Solution) -> tuple[BoardPose, ...]:
-    took_part = solution.agreed.is_used(0) | solution.agreed.is_used(1)
-    poses = zip(solution.state.pose_R, solution.state.pose_t, strict=True)
-    return tuple(
-        BoardPose(shot.name, rigid_transform(rotation=R, translation=t))
-        for shot, (R, t), took in zip(shots, poses, took_part, strict=True)
-        if took
-    )

@@ -22,6 +22,7 @@ from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import matching_unit_px, vertical_misfit_px
 from telewide.points.matches import Matches
+from telewide.points.robust import std_about_zero
 
 _LEAST_MISFIT_PX = 1.5
 _MISFIT_PER_STD = 4.0
@@ -105,7 +106,7 @@ def moving_note(regions: Sequence[MovedRegion]) -> str | None:
 
 
 def _limit_px(misfit_px: FloatArray, unit_px: float) -> float:
-    spread_px = 1.4826 * float(np.median(np.abs(misfit_px)))
+    spread_px = std_about_zero(misfit_px)
     return max(_LEAST_MISFIT_PX * unit_px, _MISFIT_PER_STD * min(spread_px, unit_px))
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import MAX_TILT_DEG
@@ -24,14 +25,13 @@ from telewide.points.epipolar import (
     turned_points,
 )
 from telewide.points.matches import Matches
-from telewide.points.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian
+from telewide.points.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian, std_about_zero
 
 ROTATION_PRIOR_RAD = float(np.radians(3.0))
 DIRECTION_PRIOR_RAD = 1.0
 BREATHING_PRIOR = 0.005
 _UNCERTAIN_DEG = 15.0
 _MAX_MATCHES = 1500
-_MAD_TO_STD = 1.4826
 _PRIOR_STD = np.array([*[ROTATION_PRIOR_RAD] * 3, BREATHING_PRIOR, DIRECTION_PRIOR_RAD, DIRECTION_PRIOR_RAD])
 _AWAY_DEG = (40.0, 80.0)
 _TURNS_DEG = (0.0, 90.0, 180.0, 270.0)
@@ -137,8 +137,8 @@ def _covariance(fit: RobustFit, posed: StereoRig, matches: Matches) -> FloatArra
     tele, wide = posed.tele.normalised(matches.ref_px), posed.wide.normalised(matches.src_px)
     at_infinity = turned_points(tele, rotation=posed.wide_from_tele[:3, :3])
     apart_px = posed.tele.f_px * (wide - at_infinity)
-    spread_px = _MAD_TO_STD * np.median(np.abs(apart_px - np.median(apart_px, axis=0)), axis=0)
-    noise_px = _MAD_TO_STD * float(np.median(np.abs(fit.residuals)))
+    spread_px = median_abs_deviation(apart_px, axis=0, scale="normal")
+    noise_px = std_about_zero(fit.residuals)
     # the spread of n matches is itself known to 2 / sqrt(n) of it, at 95 %
     noise_share = (1 + 4 / np.sqrt(len(matches))) * noise_px**2 / max(float((spread_px**2).sum()) - noise_px**2, 1e-12)
     true_share = max(0.0, 1 - noise_share)

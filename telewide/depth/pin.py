@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
@@ -198,6 +199,6 @@ def _disparity_at(
     if not len(seen):
         raise InputError(f"{place} has no disparity", hint="choose a point with texture, away from edges")
     median_px = float(np.median(seen))
-    spread_px = max(_LEAST_SPREAD_PX, 1.4826 * float(np.median(np.abs(seen - median_px))))
+    spread_px = max(_LEAST_SPREAD_PX, float(median_abs_deviation(seen, scale="normal")))
     ray = np.append((at_px - geometry.ref_centre_px) / geometry.f_px, 1.0)
     return median_px, spread_px, float(np.linalg.norm(ray))

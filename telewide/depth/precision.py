@@ -23,6 +23,7 @@ import numpy as np
 
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.points.robust import std_about_zero
 
 SURE_STD_PX = 0.16
 """Standard deviation of a disparity of full confidence, px of the views that were matched."""
@@ -33,7 +34,6 @@ FILLED_STD_PX = 9.0
 USUAL_SHIFT_SHARE = 0.58 / 1280
 """Spread of the offsets of a phone's shots, of the photo's width: measured over 30 pairs of one model."""
 _USUAL_WEIGHT = 3.0  # as many shots the usual spread counts for
-_MAD_TO_STD = 1.4826  # of a normal distribution
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,6 @@ def lens_shift_std_share(vertical_offset_shares: Sequence[float]) -> float:
     """
     offsets = np.asarray(vertical_offset_shares, dtype=np.float64)
     offsets = offsets[np.isfinite(offsets)]
-    shots = _MAD_TO_STD * float(np.median(np.abs(offsets))) if len(offsets) else 0.0
+    shots = std_about_zero(offsets) if len(offsets) else 0.0
     n = len(offsets)
     return float(np.sqrt((n * shots**2 + _USUAL_WEIGHT * USUAL_SHIFT_SHARE**2) / (n + _USUAL_WEIGHT)))

@@ -19,25 +19,6 @@ _FEW = 0.3  # share of the surroundings below which a mean fades
 _EDGE_VARIANCE = 20.0  # colour variance, of 255 levels squared, above which the picture counts as having an edge
 
 
-def fill_background(
-    disparity_px: FloatMap, guide_rgb: FloatMap, *, radius_px: int = _RADIUS_PX, edge_variance: float = _EDGE_VARIANCE
-) -> FloatMap:
-    """Fill the holes of a disparity map from the surface behind; known values stay as they are.
-
-    Args:
-        disparity_px: (H, W) float32, px; NaN where unknown.
-        guide_rgb: (H, W, 3) float32, sRGB in [0, 1]: the view the map is for.
-        radius_px: radius of the weighted median that evens the filled rows, px.
-        edge_variance: see :func:`weighted_median`.
-
-    Returns:
-        (H, W) float32, px, without NaN; zero everywhere if nothing was known.
-    """
-    filled_px = fill_rows(disparity_px)
-    evened_px = weighted_median(filled_px, guide_rgb, radius_px=radius_px, edge_variance=edge_variance)
-    return np.where(np.isfinite(disparity_px), filled_px, evened_px).astype(np.float32)
-
-
 def fill_rows(disparity_px: FloatMap) -> FloatMap:
     """Fill each hole with the smaller of the known values to its left and right.
 

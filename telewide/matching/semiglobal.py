@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 
 from telewide.geometry.arrays import BoolMap, ByteImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
-from telewide.matching.filling import fill_background, fill_rows, weighted_median
+from telewide.matching.filling import fill_rows, weighted_median
 from telewide.matching.subpixel import refine_subpixel
-
-__all__ = ["fill_background", "match_semiglobal"]
 
 CostVolume = NDArray[np.uint16]
 Doubt = Callable[[int], NDArray[np.uint16]]

@@ -22,6 +22,8 @@ from scipy.spatial import cKDTree
 from telewide.errors import InputError
 from telewide.geometry.arrays import BoolArray, FloatArray, FloatImage
 from telewide.points.bandwidth import blur_to_bandwidth, estimate_asymmetry
+from telewide.points.features import Features, sift_features, stretched
+from telewide.points.robust import std_about_zero
 from telewide.srgb import grey
 
 VERTICAL_TOLERANCE_PX = (0.5, 1.5)
@@ -71,16 +73,6 @@ class Matches:
         return Matches(self.ref_px[keep], self.src_px[keep])
 
 
-@dataclass(frozen=True)
-class DetectedView:
-    """Feature points of one view: positions (M, 2) px, diameter (M,) px, angle (M,) deg, unit descriptors (M, 128)."""
-
-    xy_px: FloatArray
-    size_px: NDArray[np.float64]
-    angle_deg: NDArray[np.float64]
-    descriptor: NDArray[np.float32]
-
-
 def find_matches(ref: FloatImage, src: FloatImage) -> Matches:
     """Match two views of one scene whose rows nearly agree.
 
@@ -124,11 +116,11 @@ def consistent_matches(matches: Matches) -> Matches:
         if len(kept) < _SUPPORTERS + 1:
             break
         residual_px = np.abs(_vertical_residual_px(kept))
-        sigma_px = 1.4826 * float(np.median(residual_px[residual_px <= VERTICAL_TOLERANCE_PX[1]]))
+        sigma_px = std_about_zero(residual_px[residual_px <= VERTICAL_TOLERANCE_PX[1]])
         kept = kept.select(residual_px <= np.clip(4.0 * sigma_px, *VERTICAL_TOLERANCE_PX))
         if len(kept) < _SUPPORTERS + 1:
             break
-        kept = kept.select(_has_support(kept))
+        kept = kept.select(neighbour_support(kept.ref_px, kept.disparity_px, supporters=_SUPPORTERS))
     return kept if len(kept) > _SUPPORTERS else kept.select(np.zeros(len(kept), dtype=bool))
 
 
@@ -163,32 +155,18 @@ def to_one_bandwidth(ref_HW: FloatImage, src_HW: FloatImage) -> tuple[FloatImage
     return ref_blurred, blur_to_bandwidth(src_HW, factor=min(1.0 / factor, _MAX_BLUR_FACTOR))
 
 
-def detect_points(image_HW: FloatImage, *, max_features: int) -> DetectedView:
-    """Find the SIFT points of one view, stretched to the full range first: the thresholds are absolute.
+def detect_points(image_HW: FloatImage, *, max_features: int) -> Features:
+    """Find the small SIFT points of one view, faint ones too.
 
     Args:
         image_HW: (H, W) grey, in [0, 1].
         max_features: at most so many points.
     """
-    low, high = np.percentile(image_HW, (0.5, 99.5))
-    stretched = np.clip((image_HW - low) * (255.0 / max(float(high - low), 1.0 / 255.0)), 0, 255)
-    sift = cv2.SIFT_create(nfeatures=max_features, contrastThreshold=0.01, edgeThreshold=12)  # type: ignore[attr-defined]
-    points, descriptor = sift.detectAndCompute(np.round(stretched).astype(np.uint8), None)
-    if len(points) == 0:
-        empty = np.zeros(0)
-        return DetectedView(np.zeros((0, 2)), empty, empty, np.zeros((0, 128), dtype=np.float32))
-    small = np.array([p.size <= _MAX_POINT_SIZE_PX for p in points])
-    points, descriptor = [p for p, keep in zip(points, small, strict=True) if keep], descriptor[small]
-    root = np.sqrt(descriptor / np.maximum(descriptor.sum(axis=1, keepdims=True), 1e-9))
-    return DetectedView(
-        np.array([p.pt for p in points], dtype=np.float64),
-        np.array([p.size for p in points], dtype=np.float64),
-        np.array([p.angle for p in points], dtype=np.float64),
-        root.astype(np.float32),
-    )
+    found = sift_features(stretched(image_HW), max_features=max_features, contrast_threshold=0.01, edge_threshold=12)
+    return found.select(found.size_px <= _MAX_POINT_SIZE_PX).rooted()
 
 
-def match_descriptors(ref: DetectedView, src: DetectedView, *, reach_px: tuple[float, float]) -> Matches:
+def match_descriptors(ref: Features, src: Features, *, reach_px: tuple[float, float]) -> Matches:
     """Pair mutual nearest neighbours that the geometry allows and that are clearly better than the second best.
 
     Args:
@@ -204,7 +182,7 @@ def match_descriptors(ref: DetectedView, src: DetectedView, *, reach_px: tuple[f
 
 
 def _candidates(
-    ref: DetectedView, src: DetectedView, *, reach_px: tuple[float, float]
+    ref: Features, src: Features, *, reach_px: tuple[float, float]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Index pairs of points within reach that agree in angle and size: a box search, the angle being periodic."""
     trees = []
@@ -317,12 +295,19 @@ def _vertical_residual_px(matches: Matches) -> NDArray[np.float64]:
     return np.asarray(vertical - design @ law)
 
 
-def _has_support(matches: Matches) -> BoolArray:
-    """Which matches agree in disparity with at least five of the twelve nearest."""
-    n_neighbours = min(_NEIGHBOURS, len(matches) - 1)
-    if n_neighbours < _SUPPORTERS:
-        return np.zeros(len(matches), dtype=bool)
-    distance_px, index = cKDTree(matches.ref_px).query(matches.ref_px, k=n_neighbours + 1)
-    difference_px = np.abs(matches.disparity_px[index[:, 1:]] - matches.disparity_px[:, None])
+def neighbour_support(xy_px: FloatArray, value_px: FloatArray, *, supporters: int) -> BoolArray:
+    """Tell which points agree with enough of their twelve nearest, within 1 px and 8 % of the distance.
+
+    Args:
+        xy_px: (N, 2) where the points lie.
+        value_px: (N,) or (N, K) what is compared.
+        supporters: how many neighbours have to agree.
+    """
+    n_neighbours = min(_NEIGHBOURS, len(xy_px) - 1)
+    if n_neighbours < supporters:
+        return np.zeros(len(xy_px), dtype=bool)
+    distance_px, index = cKDTree(xy_px).query(xy_px, k=n_neighbours + 1)
+    values = value_px.reshape(len(xy_px), -1)
+    difference_px = np.abs(values[index[:, 1:]] - values[:, None]).max(axis=2)
     agrees = difference_px <= 1.0 + 0.08 * np.minimum(distance_px[:, 1:], 50.0)
-    return np.asarray(agrees.sum(axis=1) >= _SUPPORTERS)
+    return np.asarray(agrees.sum(axis=1) >= supporters)

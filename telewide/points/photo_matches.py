@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.geometry.grids import dense_map
@@ -23,12 +22,18 @@ from telewide.geometry.rectification import rectifying_rotation, rig_at_sizes
 from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.points.epipolar import MATCHING_SIDE_PX
-from telewide.points.matches import Matches, align_matches, detect_points, match_descriptors, to_one_bandwidth
+from telewide.points.matches import (
+    Matches,
+    align_matches,
+    detect_points,
+    match_descriptors,
+    neighbour_support,
+    to_one_bandwidth,
+)
 from telewide.points.similarity import find_overlap
 from telewide.srgb import grey
 
 _FEW_MATCHES = 150
-_NEIGHBOURS = 12
 _SUPPORTERS = 4
 _REACH_X_SHARE = 0.25
 _REACH_Y_SHARE = 0.05
@@ -154,14 +159,8 @@ def _match_views(tele: _VirtualView, wide: _VirtualView) -> Matches:
 
 def _supported(matches: Matches) -> Matches:
     """The matches whose shift agrees with at least four of the twelve nearest."""
-    if len(matches) <= _SUPPORTERS:
-        return matches.select(np.zeros(len(matches), dtype=bool))
-    n_neighbours = min(_NEIGHBOURS, len(matches) - 1)
-    distance_px, index = cKDTree(matches.ref_px).query(matches.ref_px, k=n_neighbours + 1)
     shift_px = matches.ref_px - matches.src_px
-    difference_px = np.abs(shift_px[index[:, 1:]] - shift_px[:, None]).max(axis=2)
-    agrees = difference_px <= 1.0 + 0.08 * np.minimum(distance_px[:, 1:], 50.0)
-    return matches.select(agrees.sum(axis=1) >= _SUPPORTERS)
+    return matches.select(neighbour_support(matches.ref_px, shift_px, supporters=_SUPPORTERS))
 
 
 def _is_inside(points_px: FloatArray, hw: tuple[int, int]) -> NDArray[np.bool_]:

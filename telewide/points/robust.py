@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import median_abs_deviation
 
 from telewide.geometry.arrays import FloatArray
 
@@ -23,7 +24,6 @@ Jacobian = Callable[[FloatArray], FloatArray]
 _LOSS_PX = 0.7
 _SMALLEST_LOSS_PX = 0.1
 _LOSS_PER_STD = 2.4
-_MAD_TO_STD = 1.4826
 _NOISE_PX = 0.3
 _CONSENSUS_PX = 1.5
 _SAMPLES = 300
@@ -65,6 +65,15 @@ class _Problem:
         return np.asarray(self.noise_px * x / self.std)
 
 
+def std_about_zero(residuals: FloatArray) -> float:
+    """Standard deviation of normal residuals whose mean is 0, from their median size; outliers do not sway it.
+
+    Args:
+        residuals: (N,) of any sign, N > 0.
+    """
+    return float(median_abs_deviation(residuals, center=lambda values, axis: np.float64(0), scale="normal"))
+
+
 def fit_robustly(
     residuals: Residuals,
     start: FloatArray,
@@ -98,7 +107,7 @@ def fit_robustly(
     rough = _minimised(problem, start, loss_px=first_loss_px)
     size_px = np.abs(residuals(rough))
     near_px = size_px[size_px <= 3 * first_loss_px]
-    spread_px = _MAD_TO_STD * float(np.median(near_px)) if len(near_px) else first_loss_px
+    spread_px = std_about_zero(near_px) if len(near_px) else first_loss_px
     loss_px = float(np.clip(_LOSS_PER_STD * spread_px, _SMALLEST_LOSS_PX * unit_px, first_loss_px))
     x = _minimised(problem, rough, loss_px=loss_px)
     left = residuals(x)

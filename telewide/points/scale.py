@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.geometry.arrays import FloatArray, FloatImage
+from telewide.points.features import Features, sift_features, stretched
 from telewide.srgb import grey
 
 MIN_SCALE_MATCHES = 15
@@ -42,14 +42,12 @@ class ScaleEstimate:
         factor_std: its standard deviation, from the spread of the matches.
         rotation_deg: turn of wide against tele, clockwise on the screen.
         n: matches that agree.
-        residual_px: median distance of those from the similarity, px of wide; parallax included.
     """
 
     factor: float
     factor_std: float
     rotation_deg: float
     n: int
-    residual_px: float
 
 
 def estimate_scale(tele: FloatImage, wide: FloatImage) -> ScaleEstimate | None:
@@ -73,7 +71,6 @@ def estimate_scale(tele: FloatImage, wide: FloatImage) -> ScaleEstimate | None:
         similarity, weight, factor_std = _weighed_similarity(tele_px, wide_px)
     a, b = similarity[:2, 0]
     is_used = weight > 0.25
-    residual_px = np.linalg.norm(_moved(similarity, tele_px) - wide_px, axis=1)
     if is_used.sum() < MIN_SCALE_MATCHES:
         return None
     return ScaleEstimate(
@@ -81,7 +78,6 @@ def estimate_scale(tele: FloatImage, wide: FloatImage) -> ScaleEstimate | None:
         factor_std=factor_std,
         rotation_deg=float(np.degrees(np.arctan2(b, a))),
         n=int(is_used.sum()),
-        residual_px=float(np.median(residual_px[is_used])),
     )
 
 
@@ -167,35 +163,21 @@ def _robust_covariance(residual_px: FloatArray) -> FloatArray:
     return np.asarray(covariance)
 
 
-@dataclass(frozen=True)
-class _Features:
-    """Positions (M, 2) px, diameters (M,) px and unit descriptors (M, 128) of one view."""
-
-    xy_px: FloatArray
-    size_px: FloatArray
-    descriptor: NDArray[np.float32]
-
-
 def _points(
     image_HW: FloatImage, *, longest_px: int | None = None, shrink: float | None = None
-) -> tuple[_Features, float]:
+) -> tuple[Features, float]:
     """SIFT points of a picture shrunk to a size or by a share, and that share."""
     share = min(1.0, (longest_px or max(image_HW.shape)) / max(image_HW.shape)) if shrink is None else shrink
     wh = (max(8, round(image_HW.shape[1] * share)), max(8, round(image_HW.shape[0] * share)))
     small = image_HW if share == 1.0 else cv2.resize(image_HW, wh, interpolation=cv2.INTER_AREA)
-    low, high = np.percentile(small, (0.5, 99.5))
-    grey_u8 = np.round(np.clip((small - low) / max(float(high - low), 1 / 255), 0, 1) * 255).astype(np.uint8)
-    sift = cv2.SIFT_create(nfeatures=_MAX_FEATURES, contrastThreshold=0.015)  # type: ignore[attr-defined]
-    points, descriptor = sift.detectAndCompute(grey_u8, None)
-    if not len(points):
-        return _Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), dtype=np.float32)), wh[0] / image_HW.shape[1]
-    root = np.sqrt(descriptor / np.maximum(descriptor.sum(axis=1, keepdims=True), 1e-9)).astype(np.float32)
-    xy_px = np.array([p.pt for p in points], dtype=np.float64)
-    return _Features(xy_px, np.array([p.size for p in points]), root), wh[0] / image_HW.shape[1]
+    found = sift_features(
+        stretched(np.asarray(small, dtype=np.float32)), max_features=_MAX_FEATURES, contrast_threshold=0.015
+    )
+    return found.rooted(), wh[0] / image_HW.shape[1]
 
 
 def _tentative(
-    tele: _Features, wide: _Features, *, max_size_ratio: float | None = None, sizes: float = 1.0
+    tele: Features, wide: Features, *, max_size_ratio: float | None = None, sizes: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
     """Mutual best matches that pass Lowe's ratio test; ``sizes`` is wide's expected diameter over tele's."""
     if min(len(tele.xy_px), len(wide.xy_px)) < 2:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from telewide.geometry.arrays import FloatImage
+from telewide.points.features import sift_features
 from telewide.srgb import grey
 
 _MAX_FEATURES = 2000
@@ -49,19 +50,16 @@ def find_overlap(ref: FloatImage, src: FloatImage) -> Overlap | None:
     """
     shrink = min(1.0, _LONGEST_SIDE_PX / max(ref.shape[:2]))
     ref_grey, src_grey = _shrunk(grey(ref), shrink), _shrunk(grey(src), shrink)
-    sift = cv2.SIFT_create(nfeatures=_MAX_FEATURES, contrastThreshold=0.02)  # type: ignore[attr-defined]
-    points, descriptors = zip(
-        *(sift.detectAndCompute(np.round(np.clip(v, 0, 1) * 255).astype(np.uint8), None) for v in (ref_grey, src_grey)),
-        strict=True,
-    )
-    if min(len(p) for p in points) < 3:
+    views = (np.round(np.clip(view, 0, 1) * 255).astype(np.uint8) for view in (ref_grey, src_grey))
+    of_ref, of_src = (sift_features(view, max_features=_MAX_FEATURES, contrast_threshold=0.02) for view in views)
+    if min(len(of_ref), len(of_src)) < 3:
         return None
-    tentative = cv2.BFMatcher(cv2.NORM_L2).knnMatch(descriptors[0], descriptors[1], k=2)
+    tentative = cv2.BFMatcher(cv2.NORM_L2).knnMatch(of_ref.descriptor, of_src.descriptor, k=2)
     chosen = [best for best, second in tentative if best.distance < _RATIO * second.distance]
     if len(chosen) < 3:
         return None
-    ref_px = np.array([points[0][m.queryIdx].pt for m in chosen])
-    src_px = np.array([points[1][m.trainIdx].pt for m in chosen])
+    ref_px = of_ref.xy_px[[match.queryIdx for match in chosen]]
+    src_px = of_src.xy_px[[match.trainIdx for match in chosen]]
     tolerance_px = _TOLERANCE_SHARE * max(ref_grey.shape)
     similarity, inlier = cv2.estimateAffinePartial2D(ref_px, src_px, ransacReprojThreshold=tolerance_px)
     if similarity is None:

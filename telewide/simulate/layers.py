@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
-from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 _RELIEF_STEPS = 7
 """Fixed-point steps: with slopes up to 0.35 the rest is below 0.35**7 = 0.06 % of the relief."""
@@ -143,32 +142,6 @@ def render_view(scene: LayeredScene, *, parallax_xy: tuple[float, float] = (0.0,
     return View(image, nearest_px, index)
 
 
-def render_lens(scene: LayeredScene, *, focus_disparity_px: float, strength: float, samples: int = 400) -> FloatImage:
-    """Photograph the world through a round lens: the truth for a synthetic shallow depth of field.
-
-    The exact views from points spread evenly over the lens (golden spiral) are averaged in linear light. The circle of
-    confusion of a point of disparity d has the radius ``strength |d - focus_disparity_px|`` px.
-
-    Args:
-        scene: the world.
-        focus_disparity_px: disparity that stays sharp, px.
-        strength: px of radius per px of disparity.
-        samples: number of points on the lens.
-
-    Returns:
-        (H, W, 3) float32, sRGB in [0, 1].
-    """
-    linear = LayeredScene(tuple(_in_linear_light(layer) for layer in scene.layers), scene.hw)
-    total = np.zeros((*scene.hw, 3), np.float64)
-    golden_angle_rad = math.pi * (3.0 - math.sqrt(5.0))
-    for number in range(samples):
-        radius = strength * math.sqrt((number + 0.5) / samples)
-        angle_rad = number * golden_angle_rad
-        point = (radius * math.cos(angle_rad), radius * math.sin(angle_rad))
-        total += render_view(linear, parallax_xy=point, pivot_px=focus_disparity_px).image
-    return srgb_from_linear(np.clip(total / samples, 0.0, 1.0).astype(np.float32))
-
-
 def disparity_range_px(layer: Layer) -> tuple[float, float]:
     """Least and largest disparity of a layer over its texture.
 
@@ -266,7 +239,3 @@ def _hidden_in_source(ref: View, src: View) -> BoolMap:
     rows = np.arange(height)[:, None]
     seen_layer = src.layer_index[rows, np.clip(nearest, 0, width - 1)]
     return np.asarray(outside | (seen_layer != ref.layer_index))
-
-
-def _in_linear_light(layer: Layer) -> Layer:
-    return Layer(linear_from_srgb(layer.texture), layer.alpha, layer.origin_xy, layer.plane_px, layer.relief_px)

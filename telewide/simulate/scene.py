@@ -22,7 +22,6 @@ from telewide.simulate.layers import (
     LayeredScene,
     RenderedPair,
     disparity_range_px,
-    render_lens,
     render_pair,
     render_view,
 )
@@ -33,7 +32,6 @@ __all__ = [
     "LayeredScene",
     "RenderedPair",
     "random_scene",
-    "render_lens",
     "render_pair",
     "render_view",
 ]

@@ -95,9 +95,16 @@ class PreparedSet:
 
     @property
     def damage_factor(self) -> tuple[float, float] | None:
-        """By how much wide is coarser, least and most over the pairs, as measured; None where nothing tells."""
+        """By how much wide is coarser, least and most over the pairs.
+
+        Measured by their blur; where matches are too few for that, by rig, matches or EXIF; None where nothing tells.
+        """
         damage = damage_range([pair.blur for pair in self.pairs if pair.blur is not None])
-        return None if damage is None else damage.factor
+        if damage is not None:
+            return damage.factor
+        stated = [pair.alignment.asymmetry.factor for pair in self.pairs if pair.alignment is not None]
+        known = [factor for factor in stated if factor is not None]
+        return (min(known), max(known)) if known else None
 
 
 def _believable(window: Window) -> Window:

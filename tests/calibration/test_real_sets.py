@@ -77,9 +77,10 @@ def test_one_camera_at_half_its_size(opencv: Calibration, data_root: Path, tmp_p
     expected, ratio = 2 * opencv.rig.asymmetry, found.rig.asymmetry
     std = ratio * np.hypot(found.tele_std.f_px / found.rig.tele.f_px, found.wide_std.f_px / found.rig.wide.f_px)
     assert abs(ratio / expected - 1) < 0.003 or abs(ratio - expected) < 1.96 * std
-    distances = {pose.shot: pose.tele_from_board[2, 3] for pose in opencv.board_poses}
-    for pose in found.board_poses:
-        assert pose.tele_from_board[2, 3] == pytest.approx(distances[pose.shot], rel=5e-3)
+    distances_m = {(view.shot, view.camera): view.distance_m for view in opencv.views if view.is_used}
+    for view in found.views:
+        if view.is_used and (view.shot, view.camera) in distances_m:
+            assert view.distance_m == pytest.approx(distances_m[view.shot, view.camera], rel=5e-3)
 
 
 RUIN: dict[str, Callable[[DetectedShot, np.random.Generator, DetectedShot], DetectedShot]] = {

@@ -103,17 +103,6 @@ def test_noise_free_points_lie_on_their_epipolar_lines(world: World, calibration
     assert np.percentile(np.concatenate(distances), 90) < 0.3
 
 
-def test_board_poses_carry_the_board_to_its_corners(world: World, calibration: Calibration) -> None:
-    views = {(view.shot, view.camera): view for view in calibration.views}
-    for pose in calibration.board_poses:
-        view = views.get((pose.shot, "tele"))
-        if view is not None:
-            board_m = world.board_m[view.ids]
-            points_m = board_m @ pose.tele_from_board[:3, :3].T + pose.tele_from_board[:3, 3]
-            residuals_px = view.points_px - calibration.rig.tele.project(points_m)
-            np.testing.assert_allclose(residuals_px, view.residuals_px, atol=1e-6)
-
-
 @pytest.mark.slow
 def test_the_same_photos_give_the_same_rig(
     world: World, shots: tuple[DetectedShot, ...], calibration: Calibration

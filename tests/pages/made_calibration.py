@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from telewide.calibration.quality import CalibrationQuality, Check, Verdict
-from telewide.calibration.result import BoardPose, Calibration, CameraStd, TransformStd, ViewResult
+from telewide.calibration.result import Calibration, CameraStd, TransformStd, ViewResult
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 
 RESIDUAL_PX = {"tele": 0.2, "wide": 0.1}
@@ -49,13 +49,11 @@ def made_calibration(
     y, x = np.mgrid[:6, :9]
     board_m = np.column_stack([x.ravel() - 4.0, y.ravel() - 2.5, np.zeros(54)]) * 0.024
     views: list[ViewResult] = []
-    poses = []
     for number in range(n_shots):
         tilt = rng.uniform(-0.7, 0.7, 3)
         distance_m = rng.uniform(0.7, 2.0)
         place_m = np.array([*(rng.uniform(-0.1, 0.1, 2) * distance_m), distance_m])
         pose = rigid_transform(rotation=tilt, translation=place_m)
-        poses.append(BoardPose(f"shot_{number:02d}", pose))
         in_tele_m = board_m @ pose[:3, :3].T + pose[:3, 3]
         in_wide_m = in_tele_m @ rig.wide_from_tele[:3, :3].T + rig.wide_from_tele[:3, 3]
         tilt_deg = float(np.degrees(np.arccos(abs(pose[2, 2]))))
@@ -85,7 +83,6 @@ def made_calibration(
         wide_std=dataclasses.replace(std, f_px=0.4),
         transform_std=TransformStd(np.full(3, 0.02), np.full(3, 1e-4), 5e-5, np.eye(6) * 1e-8),
         views=tuple(views),
-        board_poses=tuple(poses),
         half_rigs=(rig, made_rig(tele_f_px=3001.0, is_scale_known=is_scale_known)),
         quality=CalibrationQuality(0.2, 0.1, 0.15, 0.42, 0.7, 0.3, checks, verdict),
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from telewide.simulate.layers import (
     Layer,
     LayeredScene,
     disparity_range_px,
-    render_lens,
     render_pair,
     render_view,
 )
@@ -123,41 +120,3 @@ def test_srgb_curve_and_its_inverse() -> None:
     values = np.linspace(0, 1, 1001, dtype=np.float32)
     np.testing.assert_allclose(srgb_from_linear(linear_from_srgb(values)), values, atol=1e-5)
     assert linear_from_srgb(np.array([0.5], np.float32))[0] == pytest.approx(0.21404, abs=1e-4)
-
-
-def test_closed_lens_is_the_reference_view(rng: np.random.Generator) -> None:
-    scene = random_scene(rng, hw=HW, disparity_window_px=(0.0, 20.0))
-    photo = render_lens(scene, focus_disparity_px=7.0, strength=0.0, samples=1)
-    # The two differ at outlines only, where light is mixed linearly.
-    apart = np.abs(photo - np.clip(render_view(scene).image, 0, 1)).max(axis=-1)
-    assert np.median(apart) < 1e-5
-    assert (apart > 0.01).mean() < 0.1
-
-
-def test_lens_keeps_its_focus_and_spreads_the_rest_into_disks() -> None:
-    spot = np.zeros((110, 110, 3), np.float32)
-    spot[52:58, 52:58] = 1.0
-    scene = LayeredScene((Layer(spot, None, (-25, -25), (11.0, 0.0, 0.0)),), (60, 60))
-    sharp = render_lens(scene, focus_disparity_px=11.0, strength=2.0, samples=8)
-    np.testing.assert_allclose(sharp, spot[25:85, 25:85], atol=1e-3)
-    radius_px = 3.0 * abs(11.0 - 5.0)
-    light = linear_from_srgb(render_lens(scene, focus_disparity_px=5.0, strength=3.0, samples=250))[..., 0]
-    assert light.sum() == pytest.approx(36.0, rel=0.02)
-    y, x = np.mgrid[:60, :60] - 29.5
-    distance = np.hypot(x, y)
-    assert light[distance > radius_px + 5].sum() == pytest.approx(0.0, abs=1e-3)
-    # Even light over a disk of radius r, widened by the spot: E x^2 = r^2 / 4 + 6^2 / 12.
-    assert (light * x * x).sum() / light.sum() == pytest.approx(radius_px**2 / 4 + 3.0, rel=0.03)
-    inside = light[distance < radius_px - 6]
-    assert inside.mean() == pytest.approx(36.0 / (math.pi * radius_px**2), rel=0.05)
-
-
-def test_lens_moves_nothing_sideways(rng: np.random.Generator) -> None:
-    relief = np.zeros((HW[0] + 80, HW[1] + 80), np.float32)
-    scene = LayeredScene((surface((10.0, 0.02, 0.03), relief=relief),), HW)
-    photo = render_lens(scene, focus_disparity_px=12.0, strength=0.5, samples=20)
-    same = render_lens(
-        LayeredScene((surface((10.0, 0.02, 0.03)),), HW), focus_disparity_px=12.0, strength=0.5, samples=20
-    )
-    np.testing.assert_allclose(photo, same, atol=2e-3)
-    assert np.abs(photo - render_view(scene).image).mean() < 0.03

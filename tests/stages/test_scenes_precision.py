@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +12,16 @@ from rig_worlds import phone_rig
 from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.rig_file import RigFacts, StoredRig
 from telewide.calibration.scene_quality import ZERO_CHECK
+from telewide.capture.pair import Capture, CaptureFacts
 from telewide.correction.asymmetry import compare_factors
 from telewide.correction.refinement import ShotRefinement
+from telewide.correction.verdict import PairReport
 from telewide.depth.pin import DistancePin, weigh_pin
 from telewide.depth.precision import DepthPrecision, depth_std_m
 from telewide.geometry.rectification import rectified_geometry, rig_at_sizes
+from telewide.points.held_out import HeldOut
 from telewide.stages.align import Alignment, shot_precision
+from telewide.stages.pairs import PreparedPair, PreparedSet
 
 RIG = phone_rig(has_distortion=False)
 ZERO_PX = 24.0
@@ -98,3 +103,14 @@ def test_an_unsure_zero_is_not_taken_for_small(share: float, rng: np.random.Gene
         precision=DepthPrecision(lens_shift_std_px=shift_px),
     )
     assert stated_m[0, 0] == pytest.approx(np.std(drawn_m), rel=0.03)
+
+
+def test_pairs_too_poor_to_measure_blur_are_rehearsed_at_the_factor_of_their_rig() -> None:
+    nan = float("nan")
+    report = PairReport("a", 0, nan, nan, nan, None, (nan, nan, nan), nan, nan, "doubtful", ())
+    capture = Capture("a", Path("tele.png"), Path("wide.png"))
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    pair = PreparedPair(capture, capture, report, 1.0, held_out, alignment())
+    prepared = PreparedSet((pair,), CaptureFacts(), None, ())
+    assert prepared.damage_factor == (3.0, 3.0)
+    assert replace(prepared, pairs=(replace(pair, alignment=None),)).damage_factor is None
