@@ -191,12 +191,14 @@ class _Tile:
 def _tiles(hw: tuple[int, ...], *, window: Window, context_px: int, max_pixels: int) -> Iterator[_Tile]:
     """Cut an image so that every tile, border included, has about ``max_pixels``; one tile if it fits.
 
-    The border is ``context_px`` on each side, in x beyond the disparities' reach; its result is thrown away.
+    The border is ``context_px`` on each side, in x beyond where src is looked up and where the left-right check looks
+    back from; its result is thrown away.
     """
     if hw[0] * hw[1] <= max_pixels:
         yield _Tile((0, hw[0]), (0, hw[1]), (0, hw[0]), (0, hw[1]))
         return
-    before_x, after_x = context_px + max(window[1], 0), context_px + max(-window[0], 0)
+    looks_back_px = window[1] - window[0]
+    before_x, after_x = (context_px + looks_back_px + max(reach_px, 0) for reach_px in (window[1], -window[0]))
     side = max(256, int(max_pixels**0.5))
     rows = _spans(hw[0], side - 2 * context_px, before=context_px, after=context_px)
     for y, outer_y in rows:

@@ -22,7 +22,8 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from telewide.capture.pair import PairReader
+from telewide.capture.exif import read_photo_facts
+from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.files import read_json, write_text
@@ -54,7 +55,7 @@ from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
 from telewide.training.reporter import Reporter
-from telewide.training.samples import CropArea, SampleSource
+from telewide.training.samples import CropArea, SampleSource, fitting_crop
 from telewide.training.stages import Stage, plan_stages
 
 FORMAT = 1
@@ -310,7 +311,7 @@ def _training(
     area = CropArea() if record.held_out else CropArea(end=1 - recipe.train.held_out_share)
     source = SampleSource(
         captures=seen,
-        crop_hw=recipe.train.crop_hw,
+        crop_hw=_fitting_crop(seen, area, recipe),
         window_px=record.window,
         asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
         area=area,
@@ -329,6 +330,13 @@ def _training(
         processes=processes,
         workers=workers_for(device),
     )
+
+
+def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe) -> tuple[int, int]:
+    """The recipe's crop, or a smaller one where the smallest picture would have to be enlarged to fill it."""
+    with_size = [hw for capture in seen if (hw := read_photo_facts(capture.tele_path).hw) is not None]
+    sizes_hw = [(height, int((area.end - area.first) * width)) for height, width in with_size]
+    return fitting_crop(recipe.train.crop_hw, sizes_hw or [recipe.train.crop_hw])
 
 
 def judged_captures(prepared: PreparedSet, record: TrainingRecord, recipe: Recipe) -> list[HeldOut]:

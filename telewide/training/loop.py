@@ -113,7 +113,8 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
             reporter.stage_started(stage, first_step=state.step)
             _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
             _end_stage(training, state, stage, plan, reporter)
-            if training.processes.is_any(is_stop_requested()):  # during the last judgement, or since
+            # Asked of all processes, so that none goes on before the writer has saved.
+            if training.processes.is_any(is_stop_requested()):
                 raise KeyboardInterrupt
     return state
 

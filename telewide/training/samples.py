@@ -8,8 +8,8 @@ Letters: H W crop.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -24,7 +24,8 @@ from telewide.simulate.scene import random_scene, render_pair
 
 _TEXTURE_PHOTOS = 3
 _ZOOM = (0.75, 1.2)
-"""Enlargement of a crop of a capture. Above 1 disparities grow, and the margin of the window has to hold them."""
+"""Enlargement of a crop of a capture. Above 1 disparities spread, and the margin of the window has to hold them."""
+_CROP_MULTIPLE_PX, _LEAST_CROP_PX = 16, 64
 
 
 LABELS_NAME = re.compile(r"labels_-?\d+_-?\d+\.pfm")
@@ -126,14 +127,33 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
         if source.labels_folder is None
         else _read_labels(labels_path(source.labels_folder / capture.name, window_px=source.window_px))
     )
-    box = _random_box(pair.tele.shape[:2], source, rng)
-    ref, src = (_cut(view, box, source.crop_hw) for view in (pair.tele, pair.wide))
-    truth_px = _cut_labels(labels, box, source.crop_hw)
+    box, shift_px = _random_box(pair.tele.shape[:2], source, rng)
+    ref = _cut(pair.tele, box, source.crop_hw)
+    src = _cut(pair.wide, replace(box, x=box.x - shift_px), source.crop_hw)
+    truth_px = _cut_labels(labels, box, source.crop_hw, shift_px=shift_px)
     ref, src = _jitter((ref, src), rng)
     if may_swap and rng.random() < 0.5:
         ref, src = np.ascontiguousarray(src[:, ::-1]), np.ascontiguousarray(ref[:, ::-1])
         truth_px = np.full_like(truth_px, np.nan)
     return Sample(ref, src, truth_px)
+
+
+def fitting_crop(crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]]) -> tuple[int, int]:
+    """The largest crop, up to the one asked for, that no picture has to be enlarged to fill.
+
+    Args:
+        crop_hw: asked for, multiples of 16 px.
+        sizes_hw: of the parts of the pictures that training sees.
+
+    Returns:
+        Height and width, multiples of 16 px, at least 64.
+    """
+    heights, widths = zip(*sizes_hw, strict=True)
+    height, width = (
+        min(asked, max(_LEAST_CROP_PX, least // _CROP_MULTIPLE_PX * _CROP_MULTIPLE_PX))
+        for asked, least in zip(crop_hw, (min(heights), min(widths)), strict=True)
+    )
+    return height, width
 
 
 def _choose(captures: Sequence[Capture], rng: np.random.Generator) -> Capture:
@@ -162,16 +182,25 @@ class _Box:
     height: int
 
 
-def _random_box(hw: tuple[int, ...], source: SampleSource, rng: np.random.Generator) -> _Box:
-    """A box of the crop's shape; smaller pictures are enlarged to fill the crop."""
+def _random_box(hw: tuple[int, ...], source: SampleSource, rng: np.random.Generator) -> tuple[_Box, int]:
+    """A box of the crop's shape in ref, and by how much it lies further left in src, px.
+
+    The shift leaves the middle of the window where it is, whatever the zoom: disparities spread about it, and none that
+    the window holds by its margin leaves it. Pictures smaller than the crop are enlarged to fill it.
+    """
     zoom = float(rng.uniform(*_ZOOM))
     first_x, end_x = _seen_columns(hw[1], source)
-    height, width = source.crop_hw[0] / zoom, source.crop_hw[1] / zoom
-    fit = min(1.0, hw[0] / height, (end_x - first_x) / width)
-    box_h, box_w = max(8, int(height * fit)), max(8, int(width * fit))
-    x = first_x + int(rng.integers(0, max(1, end_x - first_x - box_w + 1)))
+    crop_h, crop_w = source.crop_hw
+    zoom = max(zoom, crop_h / hw[0], crop_w / (end_x - first_x))
+    box_h, box_w = max(8, int(crop_h / zoom)), max(8, int(crop_w / zoom))
+    middle_px = sum(source.window_px) / 2
+    shift_px = round(middle_px * (1 - box_w / crop_w))
+    if abs(shift_px) > end_x - first_x - box_w:  # no room in src: as it is, or as near to that as the picture allows
+        box_h, box_w, shift_px = min(crop_h, hw[0]), min(crop_w, end_x - first_x), 0
+    low_x, high_x = first_x + max(0, shift_px), end_x - box_w + min(0, shift_px)
+    x = low_x + int(rng.integers(0, high_x - low_x + 1))
     y = int(rng.integers(0, max(1, hw[0] - box_h + 1)))
-    return _Box(x, y, min(box_w, end_x - x), min(box_h, hw[0] - y))
+    return _Box(x, y, box_w, min(box_h, hw[0] - y)), shift_px
 
 
 def _cut(view: FloatImage, box: _Box, crop_hw: tuple[int, int]) -> FloatImage:
@@ -181,12 +210,12 @@ def _cut(view: FloatImage, box: _Box, crop_hw: tuple[int, int]) -> FloatImage:
     return np.clip(resized, 0, 1).astype(np.float32, copy=False)
 
 
-def _cut_labels(labels: FloatMap | None, box: _Box, crop_hw: tuple[int, int]) -> FloatMap:
+def _cut_labels(labels: FloatMap | None, box: _Box, crop_hw: tuple[int, int], *, shift_px: int) -> FloatMap:
     if labels is None:
         return np.full(crop_hw, np.nan, dtype=np.float32)
     part = labels[box.y : box.y + box.height, box.x : box.x + box.width]
     resized = cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=cv2.INTER_NEAREST_EXACT)
-    return (resized * np.float32(crop_hw[1] / box.width)).astype(np.float32)
+    return ((resized - shift_px) * np.float32(crop_hw[1] / box.width)).astype(np.float32)
 
 
 def _jitter(views: tuple[FloatImage, FloatImage], rng: np.random.Generator) -> tuple[FloatImage, FloatImage]:

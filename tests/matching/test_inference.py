@@ -247,3 +247,15 @@ def test_a_gpu_gives_what_the_processor_gives(gpu: str) -> None:
         ]
     error_px = np.abs(by_device[0].disparity_px - by_device[1].disparity_px)
     assert (error_px < 0.1).mean() > 0.98
+
+
+@pytest.mark.parametrize("window", [(0, 192), (-192, 0), (-96, 96)])
+def test_the_left_right_check_of_a_tile_is_that_of_the_image(window: tuple[int, int]) -> None:
+    """In a window wider than the network's context: what looks back from src stays within the tile."""
+    ref, src = noise(64, 1400), noise(64, 1400, seed=1)
+    network = StereoNetwork(_Blur(4), _Correlate(), context_px=64)
+    with full_precision():
+        whole = match_with_network(ref, src, network=network, window=window)
+        tiled = match_with_network(ref, src, network=network, window=window, max_tile_pixels=80_000)
+    np.testing.assert_array_equal(tiled.valid, whole.valid)
+    np.testing.assert_allclose(tiled.confidence, whole.confidence, atol=0.02)

@@ -15,6 +15,7 @@ from training.joint_step import PRECISE, joint_gradients, short_training, stoppe
 from training.small import WINDOW, rendered, source_of, write_pairs
 
 from telewide.capture.images import write_pfm
+from telewide.files import fingerprint
 from telewide.simulate.captures import write_captures
 from telewide.training.processes import Processes, joined_processes
 from telewide.training.samples import SampleSource, labels_path
@@ -156,6 +157,45 @@ def test_the_report_of_several_processes_shows_all_captures(tmp_path: Path, repo
     page = (tmp_path / str(answer["report"])).read_text()
     for name in ("000", "001", "002"):
         assert f"depth/{name}/preview.png" in page
+
+
+SLOW_WRITER = """
+import sys, time
+from pathlib import Path
+import telewide.stages.match as match
+import telewide.training.loop as loop
+from telewide.cli import main
+from telewide.training.processes import this_process
+
+save_weights, read_matcher = loop.save_weights, match.read_matcher
+
+def late(*args, **kwargs):
+    time.sleep(1)
+    save_weights(*args, **kwargs)
+
+def noted(*args, **kwargs):
+    matcher = read_matcher(*args, **kwargs)
+    Path(f"loaded_{this_process().rank}").write_text(matcher.key)
+    return matcher
+
+loop.save_weights, match.read_matcher = late, noted
+if __name__ == "__main__":
+    main(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("stages", [0, 1])
+def test_all_processes_match_with_the_weights_the_writer_wrote_last(tmp_path: Path, repo: Path, stages: int) -> None:
+    """However long it takes to write them, and be they the first."""
+    write_captures(tmp_path / "captures", count=2, seed=1, hw=(96, 144), factor=2)
+    (tmp_path / "script.py").write_text(SLOW_WRITER)
+    settings = (f"train.stages={stages}", "train.rehearsal.steps=1", "train.feature.steps=1", "window_px=[-8, 32]")
+    words = tuple(word for setting in (*settings, "train.crop_hw=[64, 96]") for word in ("--set", setting))
+    asked = ("run", "captures", "--recipe", "quick", "--device", "cpu", "--quiet", *words)
+    done = torchrun(str(tmp_path / "script.py"), *asked, cwd=tmp_path, repo=repo)
+    assert done.returncode == 0, done.stderr[-3000:]
+    loaded = {(tmp_path / f"loaded_{rank}").read_text() for rank in range(2)}
+    assert loaded == {f"joint {fingerprint(tmp_path / 'run' / 'train' / 'weights.safetensors')}"}
 
 
 def test_shares_are_disjoint_and_all() -> None:

@@ -20,6 +20,7 @@ from telewide.training.samples import (
     Sample,
     SampleSource,
     crop_capture,
+    fitting_crop,
     generator_for,
     labels_path,
     rehearse,
@@ -302,3 +303,42 @@ def test_pictures_smaller_than_a_crop_are_enlarged(tmp_path: Path) -> None:
     write_image(capture.wide_path, pair.src)
     sample = crop_capture(source_of([capture]), rng=generator_for(0), may_swap=False)
     assert sample.ref.shape == (*CROP_HW, 3)
+
+
+@pytest.mark.parametrize(
+    ("disparity_px", "window"), [((100, 120), (96, 128)), ((-60, -40), (-64, -32)), ((4, 24), (0, 32))]
+)
+def test_zoomed_crops_stay_in_a_window_far_from_zero(
+    tmp_path: Path, disparity_px: tuple[int, int], window: tuple[int, int]
+) -> None:
+    """A slanted wall: labels of every crop lie in the window, and tell where src shows what ref shows."""
+    rng = np.random.default_rng(0)
+    hw = (96, 400)
+    slant_px = np.broadcast_to(np.linspace(*disparity_px, hw[1], dtype=np.float32), hw).copy()
+    src = cv2.GaussianBlur(rng.random((*hw, 3), dtype=np.float32), (0, 0), 2.0)
+    columns = np.arange(hw[1], dtype=np.float32) - slant_px
+    rows = np.broadcast_to(np.arange(hw[0], dtype=np.float32)[:, None], hw)
+    ref = cv2.remap(src, columns, np.ascontiguousarray(rows), cv2.INTER_LINEAR)
+    capture = Capture("wall", tmp_path / "tele.png", tmp_path / "wide.png")
+    write_image(capture.tele_path, ref)
+    write_image(capture.wide_path, src)
+    write_pfm(labels_path(tmp_path / "wall", window_px=window), slant_px)
+    source = SampleSource((capture,), crop_hw=CROP_HW, window_px=window, labels_folder=tmp_path)
+    for index in range(40):
+        sample = crop_capture(source, rng=generator_for(0, index), may_swap=False)
+        assert window[0] <= sample.truth_px.min()
+        assert sample.truth_px.max() < window[1]
+        x_src_px = np.arange(CROP_HW[1]) - sample.truth_px
+        seen = (x_src_px > 1) & (x_src_px < CROP_HW[1] - 2)
+        if seen.sum() > 200:
+            assert warp_error(sample, sample.truth_px, seen) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("sizes_hw", "expected"),
+    [([(900, 1200)], (256, 384)), ([(900, 1200), (250, 300)], (240, 288)), ([(40, 50)], (64, 64))],
+)
+def test_a_crop_is_no_larger_than_the_smallest_picture(
+    sizes_hw: list[tuple[int, int]], expected: tuple[int, int]
+) -> None:
+    assert fitting_crop((256, 384), sizes_hw) == expected
