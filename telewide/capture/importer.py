@@ -159,13 +159,17 @@ def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]
 
     entered = {captures.resolve(), dcim.resolve()}
     for folder, below, names in os.walk(dcim, onerror=tell, followlinks=True):
-        places = {name: (Path(folder) / name).resolve() for name in sorted(below) if not name.startswith(".")}
-        below[:] = [name for name, place in places.items() if place not in entered]
-        entered |= set(places.values())
+        found, below[:] = sorted(below), []
+        for name in found:
+            place = (Path(folder) / name).resolve()
+            if not name.startswith(".") and place not in entered:
+                entered.add(place)
+                below.append(name)
         for name in sorted(filter(_is_photo_name, names)):
             files.setdefault((Path(folder) / name).resolve(), Path(folder) / name)
     if not files:
-        raise InputError(f"{dcim} holds no photos", hint="name the folder of the camera roll, often called DCIM")
+        told = "".join(f"; {one.photo.path}: {one.reason}" for one in closed)
+        raise InputError(f"{dcim} holds no photos{told}", hint="name the folder of the camera roll, often called DCIM")
     return list(files.values()), closed
 
 

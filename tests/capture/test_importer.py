@@ -218,17 +218,22 @@ def test_a_linked_photo_is_one_photo_and_a_hard_link_leads_to_its_bytes(roll: Pa
 
 
 def test_a_folder_that_cannot_be_opened_is_told(roll: Path, tmp_path: Path) -> None:
-    (roll / "101A").chmod(0)
-    plans: list[ImportPlan] = []
-
     def look() -> None:
         plan = plan_import(roll, tmp_path / "captures", choice=LensChoice())
         assert planned(plan) == {"IMG_2": ("IMG_2.jpg", "IMG_1.jpg")}
         assert [one.reason for one in plan.unpaired] == ["the folder cannot be opened: Permission denied"]
-        plans.append(plan)
 
-    as_ordinary_user(tmp_path, look)
-    (roll / "101A").chmod(0o755)
+    def look_again() -> None:
+        with pytest.raises(InputError, match=r"holds no photos; .*100A: the folder cannot be opened"):
+            plan_import(roll, tmp_path / "captures", choice=LensChoice())
+
+    try:
+        for name, looking in (("101A", look), ("100A", look_again)):
+            (roll / name).chmod(0)
+            as_ordinary_user(tmp_path, looking)
+    finally:
+        for name in ("100A", "101A"):
+            (roll / name).chmod(0o755)
 
 
 def test_a_second_import_does_not_pair_the_lenses_that_were_left(tmp_path: Path) -> None:
