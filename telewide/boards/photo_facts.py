@@ -85,7 +85,7 @@ def _why_not(photo: PhotoFacts, taken_by: Lens | None, own: Lens | None) -> str 
         return crop
     if taken_by is None or own is None or taken_by == own:
         return None
-    return f"taken with the {taken_by.focal_words} lens, most of its folder with {own.focal_words}"
+    return f"taken with the {taken_by.focal_words} lens, where the others beside it are of the {own.focal_words} lens"
 
 
 def _with_turns(shots: Sequence[BoardShot], facts: Mapping[Path, PhotoFacts]) -> tuple[BoardShot, ...]:

@@ -54,7 +54,7 @@ def test_a_photo_of_another_lens_than_its_folder_is_set_aside(tmp_path: Path) ->
     shoot(tmp_path, "wrong", tele=WIDE, wide=TELE)
     wrong = with_checked_facts(find_board_shots(tmp_path))[-1]
     assert (wrong.tele_path, wrong.wide_path) == (None, None)
-    assert "taken with the 4.25 mm lens, most of its folder with 6 mm" in wrong.notes[0]
+    assert "taken with the 4.25 mm lens, where the others beside it are of the 6 mm lens" in wrong.notes[0]
 
 
 @pytest.mark.parametrize("stated", [{}, WIDE])
