@@ -19,7 +19,7 @@ from torch.nn import functional
 from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
-from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, standardise
+from telewide.matching.networks import SIZE_MULTIPLE_PX, NetworkOutput, StereoNetwork, standardise
 from telewide.matching.sampling import pad_to_multiple, warp_to_ref
 from telewide.matching.volume import expect_disparity_at_mode, peak_share, shear_to_src
 from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
@@ -142,11 +142,20 @@ def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window
     src_px = expect_disparity_at_mode(shear_to_src(output.logits_BDHW, window=window), window=window)
     seen_px = warp_to_ref(_enlarge(src_px, mode="nearest"), disparity_px)[:, 0]
     gap_px = (disparity_px - seen_px).abs()
-    sharpness = _enlarge(peak_share(output.logits_BDHW), mode="bilinear")[:, 0]
-    confidence = sharpness * (1 - gap_px / AGREEMENT_PX).clamp(min=0)
+    confidence, is_seen = _what_it_says(output, gap_px)
     cut = (0, slice(height), slice(width))
     surprise = -output.logits_BDHW[0].float().log_softmax(dim=0)
-    return disparity_px[cut], confidence[cut], (gap_px < AGREEMENT_PX)[cut], surprise
+    return disparity_px[cut], confidence[cut], is_seen[cut], surprise
+
+
+def _what_it_says(output: NetworkOutput, gap_px: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, H, W) confidence and whether src sees the pixel: learned, or by how the views agree where nothing was."""
+    agrees = gap_px < AGREEMENT_PX
+    if output.heads_BCHW is not None:
+        sure, hidden = output.heads_BCHW.float().unbind(dim=1)
+        return sure.sigmoid(), agrees & (hidden < 0)
+    sharpness = _enlarge(peak_share(output.logits_BDHW), mode="bilinear")[:, 0]
+    return sharpness * (1 - gap_px / AGREEMENT_PX).clamp(min=0), agrees
 
 
 def _enlarge(map_Bhw: Tensor, *, mode: str) -> Tensor:

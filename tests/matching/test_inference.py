@@ -259,3 +259,26 @@ def test_the_left_right_check_of_a_tile_is_that_of_the_image(window: tuple[int, 
         tiled = match_with_network(ref, src, network=network, window=window, max_tile_pixels=80_000)
     np.testing.assert_array_equal(tiled.valid, whole.valid)
     np.testing.assert_allclose(tiled.confidence, whole.confidence, atol=0.02)
+
+
+class _Heads(_Correlate):
+    """Finds the shift of the views and says: sure on the left half, hidden in the lower half."""
+
+    def forward(
+        self, ref: tuple[torch.Tensor], src: tuple[torch.Tensor], window: tuple[int, int]
+    ) -> tuple[object, ...]:
+        disparities, logits = super().forward(ref, src, window)
+        heads = torch.full((len(logits), 2, *disparities[0].shape[-2:]), -4.0)
+        heads[:, 0, :, : heads.shape[-1] // 2] = 4.0
+        heads[:, 1, heads.shape[-2] // 2 :] = 4.0
+        return disparities, logits, heads
+
+
+def test_a_network_that_was_taught_to_says_where_it_is_sure_and_what_is_hidden() -> None:
+    network = StereoNetwork(_Blur(0), _Heads())
+    ref = noise(64, 128)
+    matched = match_with_network(ref, np.roll(ref, -8, axis=1), network=network, window=(0, 16))
+    assert (matched.confidence[:, :64] > 0.9).all()
+    assert (matched.confidence[:, 64:] < 0.1).all()
+    assert not matched.valid[32:].any()
+    assert matched.valid[4:28, 24:].mean() > 0.9
