@@ -1,7 +1,7 @@
 """Options: what a recipe, a board or a capture sheet may say, and messages a person can act on when it says it wrongly.
 
 An options class is a frozen pydantic model that refuses unknown keys; every field has a docstring. A key is named by
-its dotted path (``train.learning_rate``), in messages and in ``--set train.learning_rate=1e-4`` alike.
+its dotted path (``train.learning_rate``), in messages and in settings such as ``train.learning_rate=1e-4`` alike.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def parse_options(cls: type[OptionsT], data: object, *, source: str, error: type
     Args:
         cls: the options class.
         data: keys and values as YAML gives them.
-        source: where the data comes from, for the message: a file name, ``--set``.
+        source: where the data comes from, for the message: a file name, the settings.
         error: what to raise.
 
     Returns:

@@ -60,7 +60,7 @@ def load_recipe(name: str, *, settings: Sequence[str] = (), seed: int | None = N
 
     Args:
         name: a name in ``pipelines/``, or the path of a YAML file.
-        settings: dotted overrides, as after ``--set``.
+        settings: dotted overrides.
         seed: replaces the recipe's, where given.
 
     Raises:
@@ -74,10 +74,10 @@ def load_recipe(name: str, *, settings: Sequence[str] = (), seed: int | None = N
     recipe = parse_options(Recipe, data, source=f"recipe {path}", error=UsageError)
     if settings:
         changed = apply_settings(recipe.model_dump(mode="json"), settings)
-        recipe = parse_options(Recipe, changed, source="--set", error=UsageError)
+        recipe = parse_options(Recipe, changed, source="`set`", error=UsageError)
     if seed is not None:
         changed = recipe.model_dump(mode="json") | {"seed": seed}
-        recipe = parse_options(Recipe, changed, source="--seed", error=UsageError)
+        recipe = parse_options(Recipe, changed, source="`seed`", error=UsageError)
     return recipe
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 # C0 but for tab and line feed, DEL, C1, line and paragraph separators, marks of direction, halves of a surrogate pair.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_OPTION = re.compile(r"`([a-z][a-z0-9]*(?:_[a-z0-9]+)*)`")
 
 
 def counted(number: int, noun: str) -> str:
@@ -64,6 +65,18 @@ def _with_finite_numbers(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def with_options(text: str) -> str:
+    """Spell the options that a message names as the command line has them.
+
+    Below the commands a message names an option as Python does, in backticks; ```` `square_m` ```` gives
+    ``--square-m``.
+
+    Args:
+        text: a message, a hint, a note.
+    """
+    return _OPTION.sub(lambda found: f"--{found[1].replace('_', '-')}", text)
 
 
 def command_line(*words: object, **options: object) -> str:

@@ -14,6 +14,7 @@ import typer
 
 from telewide.cli.app import app
 from telewide.recipe import load_recipe
+from telewide.text import with_options
 
 DOCUMENTS = ("*.md", "docs/*.md", "pipelines/*.yaml", "Makefile")
 SHARED_BY = {
@@ -157,8 +158,41 @@ def test_an_option_that_a_message_names_exists_in_every_command_that_shows_it(
         (path.name, flag, command)
         for path in ([folder] if folder.is_file() else sorted(folder.rglob("*.py")))
         for text in texts_of(ast.parse(path.read_text(encoding="utf-8")))
-        for flag in _FLAG.findall(_COMMAND.sub("", text))
+        for flag in _FLAG.findall(with_options(_COMMAND.sub("", text)))
         for command in commands
         if flag not in flags_of(command)
     ]
     assert found == []
+
+
+def test_below_the_stages_options_are_named_and_not_spelled(repo: Path) -> None:
+    """What is called from Python too says `square_m`; the command line makes --square-m of it."""
+    known = {flag for command in typer.main.get_command(app).commands for flag in flags_of(command)}  # type: ignore[attr-defined]
+    rooms = (
+        "boards",
+        "bokeh",
+        "calibration",
+        "capture",
+        "correction",
+        "depth",
+        "geometry",
+        "matching",
+        "points",
+        "training",
+    )
+    texts = [
+        (path.name, text)
+        for room in rooms
+        for path in sorted((repo / "telewide" / room).rglob("*.py"))
+        for text in texts_of(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+    assert [(name, text) for name, text in texts if _FLAG.search(text)] == []
+    named = {flag for _, text in texts for flag in _FLAG.findall(with_options(text))}
+    assert len(named) > 8
+    assert named <= known
+
+
+def test_options_are_spelled_where_a_person_types_them() -> None:
+    assert (
+        with_options("measure a square: `square_m`; see `captures/`") == "measure a square: --square-m; see `captures/`"
+    )

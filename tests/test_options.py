@@ -66,7 +66,7 @@ def test_messages_name_the_key(data: dict[str, object], words: list[str]) -> Non
 
 def test_unknown_key_lists_the_known_ones() -> None:
     with pytest.raises(UsageError) as caught:
-        parse_options(Train, {"zzz": 1}, source="--set", error=UsageError)
+        parse_options(Train, {"zzz": 1}, source="`set`", error=UsageError)
     assert caught.value.hint == "known keys: learning_rate, window_px"
     assert "did you mean" not in caught.value.message
 

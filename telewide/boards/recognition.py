@@ -74,7 +74,7 @@ def recognise_board(shots: Sequence[BoardShot]) -> RecognisedBoard:
     if not corners.get(best):
         raise InputError(
             f"no known board was found in {len(shots)} shots; tried: {', '.join(boards)}",
-            hint="name yours with --board (a name above or a YAML file), or photograph a board made by telewide board",
+            hint="name yours with `board` (a name above or a YAML file), or photograph one that telewide printed",
         )
     name, *others = patterns[best]
     return RecognisedBoard(name, boards[name], tuple(others))

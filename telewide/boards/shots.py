@@ -216,7 +216,7 @@ def _nothing_found(detected: Iterable[DetectedShot], board: Board, *, n_photos: 
     notes = [f"\n  {shot.name}: {note}" for shot in detected for note in shot.notes]
     more = f"\n  and {len(notes) - _MAX_LISTED} more" if len(notes) > _MAX_LISTED else ""
     counted = {"chessboard": "inner corners", "charuco": "squares", "aruco_grid": "markers"}[board.kind]
-    hint = "name the board that was photographed with --board; it must be flat, sharp and, as chessboard, whole"
+    hint = "name the board that was photographed with `board`; it must be flat, sharp and, as chessboard, whole"
     if board.kind == "charuco" and board.rows % 2 == 0:
         hint = f"{hint}; legacy_pattern: true is for boards with a marker at the top left, false for the others"
     return InputError(

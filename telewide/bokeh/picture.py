@@ -54,8 +54,8 @@ def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m:
         return
     if bokeh.f_number is not None and (baseline_m or captures.facts.baseline_m) is None:
         raise UsageError(
-            "--f-number needs the distance of the two lenses, which neither a rig nor captures.yaml states",
-            hint="calibrate, state baseline_m in captures.yaml, or give the blur in pixels with --strength",
+            "`f_number` needs the distance of the two lenses, which neither a rig nor captures.yaml states",
+            hint="calibrate, state baseline_m in captures.yaml, or give the blur in pixels with `strength`",
         )
     if named_point(bokeh.focus, hw=None) is None:
         return
@@ -85,7 +85,7 @@ def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None) -> str | No
     """
     if options.f_number is None or baseline_m is not None:
         return None
-    return "--f-number needs the distance of the two lenses, not known for this shot; --strength gives the blur in px"
+    return "`f_number` needs the distance of the two lenses, not known for this shot; `strength` gives the blur in px"
 
 
 def focus_note(
@@ -103,7 +103,7 @@ def focus_note(
     distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
     word = options.focus.strip().lower()
     ways = {
-        "auto": "the nearest large surface in the middle; --focus X,Y, near or far chooses another",
+        "auto": "the nearest large surface in the middle; `focus` X,Y, near or far chooses another",
         "near": "the nearest surface",
         "far": "the farthest surface",
     }

@@ -25,8 +25,8 @@ from telewide.options import parse_options
 
 RIG_FILE = Path("rig.yaml")
 _ANOTHER_RIG = (
-    "make it anew: telewide calibrate BOARDS; without a board: telewide calibrate CAPTURES --from-scenes; "
-    "captures that are rectified need none: remove the file"
+    "calibrate anew, from photos of a board or, without one, from captures (`from_scenes`); captures that are "
+    "rectified need none: remove the file"
 )
 _HEADER = """\
 # Two lenses and how they stand to each other. Lengths in metres; pixel (0, 0) is the centre of the top-left pixel.
@@ -151,7 +151,7 @@ def read_rig(path: Path) -> StoredRig:
     try:
         data = read_yaml(path)
     except UsageError as error:
-        raise UsageError(f"there is no rig file {path}", hint="telewide calibrate makes one from photos") from error
+        raise UsageError(f"there is no rig file {path}", hint="calibrating makes one from photos") from error
     except InputError as error:
         raise InputError(error.message, hint=_ANOTHER_RIG) from error
     if not isinstance(data, dict):
@@ -160,7 +160,7 @@ def read_rig(path: Path) -> StoredRig:
     if data.get("format", 1) != 1:
         raise InputError(
             f"{path}: format is {data['format']!r}, this version reads format 1",
-            hint="make the rig again with telewide calibrate, or update telewide",
+            hint="calibrate again, or update telewide",
         )
     return _stored_of(parse_options(RigSheet, data, source=str(path), error=InputError))
 

@@ -52,7 +52,7 @@ _SIDE_CHECKS: dict[SideSource, tuple[Status, str]] = {
     "guessed": (
         "warn",
         "The captures do not show on which side the wide lens stands; if the guess is wrong, near and far are "
-        "exchanged. Look at the back of the phone and state it with --wide-side.",
+        "exchanged. Look at the back of the phone and state it with `wide_side`.",
     ),
     "contradicted": (
         "fail",
@@ -204,7 +204,7 @@ def _focal_checks(whole: SceneRig) -> Iterator[Check]:
 
 def _contradiction_advice(name: str, by_matches: str, stated: str, n_deviations: float) -> str:
     return (
-        f"Matches want a {name} of {by_matches}, EXIF or --f35 says {stated}: {n_deviations:.1f} standard deviations "
+        f"Matches want a {name} of {by_matches}, EXIF or `f35` says {stated}: {n_deviations:.1f} standard deviations "
         "apart, and matches of few scenes or of little depth are the likelier ones to be wrong. Take more captures "
         "with near and far things all over the tele photo, or photograph a board."
     )
@@ -213,7 +213,7 @@ def _contradiction_advice(name: str, by_matches: str, stated: str, n_deviations:
 def _unseen_checks(whole: SceneRig) -> Iterator[Check]:
     advice = (
         f"What is infinitely far is known to {whole.std.zero_px:.1f} px of disparity only, and every depth is as "
-        "unsure: state a known distance with --distance, or photograph a board."
+        "unsure: state a known distance with `distance`, or photograph a board."
     )
     limits_px = (_ZERO_PX * larger_than_usual(whole.rig.tele.hw), math.inf)
     yield at_most(ZERO_CHECK, whole.std.zero_px, limits_px, advice=advice, unit="tele px")

@@ -130,7 +130,7 @@ def scene_notes(found: SceneRig) -> Iterator[str]:
     if found.side_source == "guessed":
         yield (
             f"wide is taken to stand {place_words(found.wide_side)} tele, a guess: if near and far come out "
-            "exchanged, it is the opposite; state it with --wide-side"
+            "exchanged, it is the opposite; state it with `wide_side`"
         )
     if found.std.zero_px > larger_than_usual(found.rig.tele.hw):
         yield f"the zero of disparity is known to {found.std.zero_px:.0f} px only: pin it with a known distance"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from telewide.errors import QualityError
-from telewide.text import json_text, printable
+from telewide.text import json_text, printable, with_options
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def say(text: str, *, is_answer: bool = False) -> None:
         text: may hold names and notes of other people.
         is_answer: to standard output; else to standard error.
     """
-    typer.echo(printable(text), err=not is_answer)
+    typer.echo(printable(with_options(text)), err=not is_answer)
 
 
 class VisibleFormatter(logging.Formatter):
@@ -121,7 +121,7 @@ class VisibleFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
-        return printable(super().format(record))
+        return printable(with_options(super().format(record)))
 
 
 def print_json(content: dict[str, object]) -> None:
@@ -131,4 +131,4 @@ def print_json(content: dict[str, object]) -> None:
         content: plain data; see :func:`telewide.text.json_text`.
     """
     if this_process().is_writer:
-        typer.echo(json_text(content))
+        typer.echo(with_options(json_text(content)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.text import Text
 
-from telewide.text import printable
+from telewide.text import printable, with_options
 
 
 class TerminalConsole(Console):
@@ -13,4 +13,4 @@ class TerminalConsole(Console):
 
     def render_str(self, text: str, **options: object) -> Text:
         """Turn a string into a text with styles; everything that is given as a string comes here."""
-        return super().render_str(printable(text), **options)  # type: ignore[arg-type]
+        return super().render_str(printable(with_options(text)), **options)  # type: ignore[arg-type]

@@ -85,7 +85,7 @@ def hardly_known_notes(result: DepthResult) -> tuple[str, ...]:
         return ()
     return (
         f"{result.name}: its depth in metres is hardly known: one standard deviation is {share:.0%} of the "
-        "depth (median); a measured point (--distance X,Y,M) or a rig from photos of a board would tell more",
+        "depth (median); a measured point (`distance` X,Y,M) or a rig from photos of a board would tell more",
     )
 
 
@@ -103,7 +103,7 @@ def without_meaningless_metres(result: DepthResult) -> tuple[DepthResult, str | 
         return result, None
     told = (
         f"{result.name}: no depth in metres: the rig and this shot leave it so unsure that one standard deviation is "
-        "more than the depth itself; disparity and bokeh are as good as ever. A measured point (--distance X,Y,M) or a "
+        "more than the depth itself; disparity and bokeh are as good as ever. A measured point (`distance` X,Y,M) or a "
         "rig from photos of a board gives metres"
     )
     return replace(result, depth_m=None, depth_std_m=None), told
@@ -120,7 +120,7 @@ def _typical_std_share(result: DepthResult) -> float | None:
 def away_words(depth_m: float, std_m: float | None) -> str:
     """Say how far away something is, with one standard deviation where it is known: "0.79 ± 0.05 m away"."""
     if std_m is not None and not std_m <= HARDLY_KNOWN_SHARE * depth_m:
-        return "at a distance the rig hardly knows; --distance X,Y,M would tell"
+        return "at a distance the rig hardly knows; `distance` X,Y,M would tell"
     return f"{_metres(depth_m, std_m)} away"
 
 

@@ -40,7 +40,7 @@ def choose_device(name: str) -> torch.device:
     """
     has_cuda = torch.cuda.is_available()
     if name == "cuda" and not has_cuda:
-        raise MissingPartError("no CUDA device was found", hint="use --device auto or --device cpu")
+        raise MissingPartError("no CUDA device was found", hint="use `device` cpu, or auto")
     return torch.device("cuda" if has_cuda and name != "cpu" else "cpu")
 
 

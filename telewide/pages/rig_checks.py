@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 
 from telewide.calibration.quality import Check
+from telewide.text import with_options
 
 CHECKS_STYLE = """
 .verdict { border-left: 6px solid var(--faint); padding: .4rem .9rem; margin: .8rem 0; font-size: 1.05rem; }
@@ -22,7 +23,7 @@ def checks_html(checks: Sequence[Check]) -> str:
         f'<tr><td><span class="mark {check.status}">{check.status}</span></td>'
         f'<td class="words">{html.escape(check.name)}</td>'
         f"<td>{html.escape(check.found_words)}</td><td>{html.escape(check.limit_words)}</td>"
-        f'<td class="words">{html.escape(check.advice)}</td></tr>\n'
+        f'<td class="words">{html.escape(with_options(check.advice))}</td></tr>\n'
         for check in checks
     )
     head = (
@@ -34,5 +35,5 @@ def checks_html(checks: Sequence[Check]) -> str:
 def advice_html(checks: Sequence[Check]) -> str:
     """List what to do, failed checks first."""
     worst_first = sorted((check for check in checks if check.advice), key=lambda check: check.status != "fail")
-    items = "".join(f"<li>{html.escape(check.advice)}</li>" for check in worst_first)
+    items = "".join(f"<li>{html.escape(with_options(check.advice))}</li>" for check in worst_first)
     return f"<ol>{items}</ol>" if items else ""

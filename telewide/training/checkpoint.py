@@ -146,7 +146,7 @@ def load_state(
     except Exception as error:  # torch and pickle fail on damaged files in a dozen ways
         raise InputError(
             f"{path} is not a checkpoint of this {network_name} training, or is damaged",
-            hint="start over with --fresh, or name another run folder with --out",
+            hint="start over with `fresh`, or name another run folder with `out`",
         ) from error
     return state
 
@@ -274,6 +274,4 @@ def _whole(value: object) -> int:
 
 
 def _no_weights(path: Path) -> InputError:
-    return InputError(
-        f"{path} is no weights file of telewide, or is damaged", hint="make one with: telewide train captures/"
-    )
+    return InputError(f"{path} is no weights file of telewide, or is damaged", hint="train a network to make one")

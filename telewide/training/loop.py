@@ -226,7 +226,7 @@ def _precision(window: Window, device: torch.device) -> AbstractContextManager[o
 def _diverged(what: str, stage: Stage, state: TrainingState) -> TelewideError:
     return TelewideError(
         f"the {what} of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
-        hint=f"lower the learning rate: --set train.{_section(stage)}.learning_rate=...",
+        hint=f"lower the learning rate: `set` train.{_section(stage)}.learning_rate=...",
     )
 
 

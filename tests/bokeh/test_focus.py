@@ -130,11 +130,11 @@ def test_the_place_lies_on_the_plane_of_focus(scene_px: np.ndarray) -> None:
 
 def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() -> None:
     note = focus_note("000", Focus(12.34, 80, 60), depth_m=1.5, options=BokehOptions())
-    for words in ("000", "x 80, y 60", "1.50 m", "12.3 px", "--focus"):
+    for words in ("000", "x 80, y 60", "1.50 m", "12.3 px", "`focus`"):
         assert words in note
     pointed = focus_note("000", Focus(12.34, 80, 60), depth_m=None, options=BokehOptions(focus="80,60"))
     assert " m away" not in pointed
-    assert "--focus" not in pointed
+    assert "`focus`" not in pointed
 
 
 @pytest.mark.parametrize(
@@ -143,8 +143,8 @@ def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() ->
         (None, ", 0.30 m away"),
         (0.012, ", 0.30 ± 0.012 m away"),
         (0.14, ", 0.30 ± 0.14 m away"),
-        (0.19, ", at a distance the rig hardly knows; --distance X,Y,M would tell"),
-        (float("nan"), ", at a distance the rig hardly knows; --distance X,Y,M would tell"),
+        (0.19, ", at a distance the rig hardly knows; `distance` X,Y,M would tell"),
+        (float("nan"), ", at a distance the rig hardly knows; `distance` X,Y,M would tell"),
     ],
 )
 def test_how_sure_a_distance_is_stands_beside_it(std_m: float | None, told: str) -> None:

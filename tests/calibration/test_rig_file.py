@@ -131,8 +131,8 @@ def test_what_is_no_rig_file_is_refused_with_a_way_to_get_one(text: str, said: s
         read_rig(tmp_path / "rig.yaml")
     assert said in caught.value.message
     assert "\n" not in caught.value.message
-    assert "telewide calibrate" in (caught.value.hint or "")
-    assert "--from-scenes" in (caught.value.hint or "")
+    assert "calibrate" in (caught.value.hint or "")
+    assert "`from_scenes`" in (caught.value.hint or "")
 
 
 def test_a_folder_in_the_place_of_a_rig_is_refused(tmp_path: Path) -> None:

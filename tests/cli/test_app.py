@@ -161,7 +161,7 @@ def test_depth_without_a_trained_run_is_refused_without_torch(
 def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refused(capsys, "depth", "--weights", "no.safetensors", code=2, names=("no.safetensors",))
     Path("odd.safetensors").write_bytes(b"something else")
-    refused(capsys, "depth", "--weights", "odd.safetensors", code=3, names=("odd.safetensors", "telewide train"))
+    refused(capsys, "depth", "--weights", "odd.safetensors", code=3, names=("odd.safetensors", "train a network"))
 
 
 @pytest.mark.parametrize("words", [("depth", "--method", "sgm", "--bokeh"), ("run", "--recipe", "quick")])

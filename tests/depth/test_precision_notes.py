@@ -72,7 +72,7 @@ def test_depth_that_is_hardly_known_says_so_and_what_helps(share: float, n_notes
     result = DepthResult("000", disparity, depth_m=depth_m, depth_std_m=np.float32(share) * depth_m)
     notes = hardly_known_notes(result)
     assert len(notes) == n_notes
-    assert all(words in note for note in notes for words in ("000", "64%", "--distance", "board"))
+    assert all(words in note for note in notes for words in ("000", "64%", "`distance`", "board"))
     assert hardly_known_notes(replace(result, depth_std_m=None)) == ()
 
 
@@ -88,7 +88,7 @@ def test_metres_that_mean_nothing_are_taken_away_and_no_absurd_figure_is_told(sh
     if told is not None:
         assert "no depth in metres" in told
         assert "%" not in told
-        assert "--distance" in told
+        assert "`distance`" in told
 
 
 def test_a_rig_that_does_not_know_a_distance_does_not_state_one() -> None:
