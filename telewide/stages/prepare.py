@@ -26,6 +26,7 @@ from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.lenses import with_checked_lenses
+from telewide.capture.mixed_sizes import check_sizes
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
 from telewide.correction.blur import BlurEstimate, fit_blur
 from telewide.correction.verdict import (
@@ -137,7 +138,7 @@ def prepare_captures(
     captures = with_checked_lenses(captures)
     pairs: list[PreparedPair] = []
     n_refused = 0
-    problems = list(captures.problems)
+    problems = [*captures.problems, *(check_sizes(captures) if rig is None else ())]
     for capture in captures.captures:
         try:
             with within_memory("this pair"):

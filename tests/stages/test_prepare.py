@@ -122,6 +122,21 @@ def test_pairs_whose_rows_disagree_are_refused_by_what_was_measured(captures: Pa
     assert caught.value.exit_code == 4
 
 
+@pytest.mark.parametrize("stated", ["f_px: 200.0", "doffs_px: 3.0", "asymmetry: 2.0"])
+def test_pixels_that_are_stated_of_photos_of_several_sizes_are_doubted(
+    captures: Path, tmp_path: Path, stated: str
+) -> None:
+    shutil.copytree(captures, tmp_path / "captures")
+    shutil.copytree(captures / "000", tmp_path / "captures" / "002")
+    for path in (tmp_path / "captures" / "001").glob("*.png"):
+        write_image(path, read_image(path)[:-32, :-48])
+    (tmp_path / "captures" / "001" / "truth.pfm").unlink()
+    (tmp_path / "captures" / "captures.yaml").write_text(f"rectified: true\n{stated}\n")
+    problems = prepared(tmp_path / "captures", tmp_path / "run").problems
+    told = [problem.message for problem in problems if problem.name == "001" and not problem.is_skipped]
+    assert any("its tele photo is 144 x 96 px, most are 192 x 128 px" in one for one in told) == ("px" in stated)
+
+
 def test_a_photo_that_cannot_be_read_leaves_the_others(captures: Path, tmp_path: Path) -> None:
     found = find_captures(captures)
     gone = found.captures[0].tele_path
