@@ -1,7 +1,8 @@
-"""A safe reader of ``.npz`` files: a small one may claim arrays of many gigabytes."""
+"""A safe reader of ``.npz`` and ``.npy`` files: a small one may claim arrays of many gigabytes."""
 
 from __future__ import annotations
 
+import io
 import math
 import zipfile
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.errors import InputError, TelewideError
-from telewide.files import open_regular
+from telewide.files import open_regular, read_regular
 
 MOST_BYTES = 1 << 30
 """Of all arrays that are read together: 12 maps of a photo that is read whole."""
@@ -43,6 +44,29 @@ def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) 
     except (TelewideError, MemoryError):
         raise
     except Exception as error:  # numpy and zipfile fail on damaged files in a dozen ways
+        raise InputError(f"{path} is damaged: {error}") from error
+
+
+def read_npy(path: Path, *, most_bytes: int = MOST_BYTES) -> NDArray[np.generic]:
+    """Read the array of an ``.npy`` file as :func:`read_npz` reads those of an ``.npz``.
+
+    Args:
+        path: the file.
+        most_bytes: of the file.
+
+    Returns:
+        The array.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is damaged, holds objects, or is larger than it may be.
+    """
+    data = read_regular(path, most_bytes=most_bytes)
+    try:
+        return _read_array(io.BytesIO(data), len(data))
+    except MemoryError:
+        raise
+    except Exception as error:  # numpy fails on damaged files in a dozen ways
         raise InputError(f"{path} is damaged: {error}") from error
 
 

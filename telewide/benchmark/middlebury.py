@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from telewide.benchmark.contenders import Contender
-from telewide.benchmark.datasets import write_middlebury_captures
+from telewide.benchmark.datasets.middlebury import write_middlebury_captures
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
 from telewide.depth.edges import follow_edges

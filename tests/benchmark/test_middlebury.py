@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from telewide.benchmark.contenders import Contender, semiglobal_contender
-from telewide.benchmark.datasets import middlebury_2006_scenes
+from telewide.benchmark.datasets.middlebury import middlebury_2006_scenes
 from telewide.benchmark.middlebury import (
     SKIPPED_COLUMNS,
     SPLITS,

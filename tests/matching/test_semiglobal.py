@@ -105,7 +105,7 @@ def test_refuses_what_cannot_be_matched(
 
 @pytest.mark.parametrize("name", ["Baby3", "Wood2"])
 def test_photographed_truth(name: str, data_root: Path) -> None:
-    from telewide.benchmark.datasets import read_middlebury_2006
+    from telewide.benchmark.datasets.middlebury import read_middlebury_2006
 
     truth = read_middlebury_2006(data_root / "middlebury_2006_third" / name, scale_denominator=3)
     src = shrink_and_enlarge(truth.right, factor=4)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from telewide.benchmark.datasets import read_middlebury_2006
+from telewide.benchmark.datasets.middlebury import read_middlebury_2006
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, consistent_matches, find_matches, split_matches

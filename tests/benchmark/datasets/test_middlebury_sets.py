@@ -8,7 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from telewide.benchmark.datasets import middlebury_2006_scenes, read_middlebury_2006, write_middlebury_captures
+from telewide.benchmark.datasets.middlebury import (
+    middlebury_2006_scenes,
+    read_middlebury_2006,
+    write_middlebury_captures,
+)
 from telewide.capture.pair import find_captures, read_pair, read_truth
 from telewide.errors import InputError, UsageError
 from telewide.simulate.degrade import shrink_and_enlarge

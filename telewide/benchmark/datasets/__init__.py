@@ -1,0 +1,1 @@
+"""Public stereo sets, read as pairs with truth: a file for each layout."""
