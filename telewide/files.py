@@ -21,14 +21,18 @@ import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import yaml
 
 from telewide.errors import InputError, MissingPartError, TelewideError, UsageError
+
+Content = TypeVar("Content")
 
 MAX_YAML_BYTES = 1 << 18
 MAX_JSON_BYTES = 1 << 26
@@ -38,9 +42,37 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _TEMPORARY = re.compile(r"\.telewide-(?P<host>[0-9a-f]{8})-(?P<pid>[0-9]+)-[0-9a-f]{12}(\..*)?")
 _LARGEST_WHOLE = 1 << 63
 _MOST_SHOWN = 30
+_MOST_KEPT = 8192
+_TOO_NEW_NS = 2_000_000_000
 _DATE, _TEXT = "tag:yaml.org,2002:timestamp", "tag:yaml.org,2002:str"
 _TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
 _TOO_MANY = f"it holds more than {MAX_YAML_NODES} values"
+
+
+def once_a_file(read: Callable[[Path], Content]) -> Callable[[Path], Content]:
+    """Make a reader keep what it read of each file until the file changes.
+
+    A file that was changed a moment ago is read each time: its clock may be too coarse to show the next change.
+
+    Args:
+        read: a reader whose results nobody changes.
+    """
+
+    @lru_cache(maxsize=_MOST_KEPT)
+    def kept(path: Path, identity: tuple[int, ...]) -> Content:
+        return read(path)
+
+    @wraps(read)
+    def read_once(path: Path) -> Content:
+        try:
+            seen = path.stat()
+        except (OSError, ValueError):  # said by the reader
+            return read(path)
+        if time.time_ns() - max(seen.st_mtime_ns, seen.st_ctime_ns) < _TOO_NEW_NS:
+            return read(path)
+        return kept(path, (seen.st_dev, seen.st_ino, seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns))
+
+    return read_once
 
 
 def open_regular(path: Path) -> io.BufferedReader:
@@ -336,6 +368,7 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
+@once_a_file
 def fingerprint(path: Path) -> str:
     """Return the SHA-256 of a file's content.
 

@@ -17,7 +17,16 @@ from telewide.boards.board import load_board
 from telewide.calibration.rig_file import read_rig
 from telewide.capture.facts import read_facts
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import MAX_DEPTH, MAX_YAML_BYTES, parse_json, parse_yaml, read_json, read_regular, read_yaml
+from telewide.files import (
+    MAX_DEPTH,
+    MAX_YAML_BYTES,
+    once_a_file,
+    parse_json,
+    parse_yaml,
+    read_json,
+    read_regular,
+    read_yaml,
+)
 from telewide.recipe import load_recipe
 
 
@@ -160,3 +169,39 @@ def test_json_comes_back_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text(json.dumps(content))
     assert read_json(path) == content
+
+
+class TestOnceAFile:
+    """A file is read once until it changes, and anew wherever a change could hide."""
+
+    @staticmethod
+    def counting() -> tuple[list[Path], Callable[[Path], str]]:
+        asked: list[Path] = []
+
+        @once_a_file
+        def read(path: Path) -> str:
+            asked.append(path)
+            return path.read_text()
+
+        return asked, read
+
+    def test_an_old_file_is_read_once(self, repo: Path) -> None:
+        asked, read = self.counting()
+        old = repo / "LICENSE"
+        while time.time() - old.stat().st_ctime < 3:
+            time.sleep(0.5)
+        assert read(old) == read(old) == old.read_text()
+        assert asked == [old]
+
+    def test_a_file_that_was_just_written_is_read_each_time(self, tmp_path: Path) -> None:
+        asked, read = self.counting()
+        path = tmp_path / "a.txt"
+        for text in ("one", "two"):  # of one size, perhaps within one tick of the clock
+            path.write_text(text)
+            assert read(path) == text
+        assert len(asked) == 2
+
+    def test_what_is_not_there_is_said_by_the_reader(self, tmp_path: Path) -> None:
+        _, read = self.counting()
+        with pytest.raises(FileNotFoundError):
+            read(tmp_path / "none")

@@ -23,7 +23,7 @@ from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import stored_hw
 from telewide.capture.sizes import read_hw
 from telewide.errors import InputError
-from telewide.files import open_regular
+from telewide.files import once_a_file, open_regular
 
 _IFD_EXIF, _NEW_SUBFILE = 34665, 254
 _MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL = 271, 272, 274, 50708
@@ -90,6 +90,7 @@ class PhotoFacts:
         return self.f35_mm / self.focal_length_mm if self.f35_mm and self.focal_length_mm else None
 
 
+@once_a_file
 def read_photo_facts(path: Path) -> PhotoFacts:
     """Read what a photo states about itself.
 
