@@ -11,6 +11,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from telewide.geometry.arrays import BoolMap, FloatMap
 
@@ -29,8 +30,11 @@ def fill_rows(disparity_px: FloatMap) -> FloatMap:
         (H, W) float32, px, without NaN: an empty row takes the nearest one's values, an empty map is zero.
     """
     beside_px = np.fmin(_last_known(disparity_px), _last_known(disparity_px[:, ::-1])[:, ::-1])
-    above_px, below_px = _last_known(beside_px.T).T, _last_known(beside_px[::-1].T).T[::-1]
-    return np.nan_to_num(np.where(np.isfinite(above_px), above_px, below_px)).astype(np.float32)
+    is_empty = np.isnan(beside_px[:, 0])  # what is known anywhere in a row has been carried to both of its ends
+    if is_empty.all():
+        return np.zeros_like(beside_px)
+    (nearest,) = distance_transform_edt(is_empty, return_distances=False, return_indices=True)
+    return np.asarray(beside_px[nearest], dtype=np.float32)
 
 
 def weighted_median(

@@ -16,7 +16,7 @@ import numpy as np
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.filling import guided_filter
 
-_BLUR_PX = 1.5  # of both views
+_BLUR_PX = 2.0  # of both views: wide knows no finer detail, which would pass for noise
 _ROUNDS = 2
 _RADIUS_PX = 9  # of the surroundings that are summed over
 _DETAIL_PX = 19  # side of the square whose mean is left out: brightness may differ between the lenses
@@ -24,8 +24,8 @@ _EDGE_VARIANCE = 120.0  # as of `telewide.matching.filling.weighted_median`; sur
 _WORST = 0.1  # difference of a channel above which the views do not show the same thing
 _LARGEST_PX = 0.6
 _USUAL_PX = 0.2  # standard deviation of what is missing from a disparity found in whole levels
-_NEIGHBOURS_ALIKE = 6.0  # how many pixels of the blurred views carry the news of one
-_FLOOR = 1e-6  # squared difference that rounding leaves
+_NEIGHBOURS_ALIKE = 25.0  # how many pixels of the blurred views carry the news of one
+_FLOOR = 1e-7  # squared difference that rounding to 8 bits leaves
 
 
 def refine_subpixel(ref: FloatMap, src: FloatMap, disparity_px: FloatMap, *, confidence: FloatMap) -> FloatMap:

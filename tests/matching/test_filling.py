@@ -77,3 +77,11 @@ def test_median_of_a_slope_is_that_slope(rng: np.random.Generator) -> None:
     noisy_px = slope_px + rng.normal(0, 0.3, slope_px.shape).astype(np.float32)
     median_px = weighted_median(noisy_px, np.full((60, 80, 3), 0.5, dtype=np.float32), radius_px=5)
     assert np.abs(median_px - slope_px)[8:-8, 8:-8].max() < 0.2
+
+
+def test_an_empty_row_takes_the_nearest_known_one() -> None:
+    """Known rows 2 and 7 of ten: the others go by distance, above or below."""
+    disparity_px = np.full((10, 4), np.nan, np.float32)
+    disparity_px[2, 1], disparity_px[7, 3] = 2, 7
+    np.testing.assert_array_equal(fill_rows(disparity_px)[:, 0], [2, 2, 2, 2, 2, 7, 7, 7, 7, 7])
+    np.testing.assert_array_equal(fill_rows(np.full((3, 4), np.nan, np.float32)), np.zeros((3, 4)))
