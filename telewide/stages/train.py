@@ -26,7 +26,7 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
-from telewide.files import read_json, write_text
+from telewide.files import fingerprint, read_json, write_text
 from telewide.folders import append_line
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
@@ -38,6 +38,7 @@ from telewide.stages.call import Call
 from telewide.stages.call import record as record_call
 from telewide.stages.labels import write_labels
 from telewide.stages.pairs import PreparedSet
+from telewide.stages.prepare import RECORD_NAME
 from telewide.stages.run_folder import RunFolder
 from telewide.text import counted
 from telewide.training.checkpoint import (
@@ -98,6 +99,7 @@ class TrainingRecord:
         captures: names of the captures it has seen or judged by.
         held_out: names of those kept for judging; empty where strips are.
         judged: names of those it is judged by: the held-out ones, or a strip of each that there was at first.
+        pairs_sha256: of what each corrected pair was made from, by name; empty where an older version wrote none.
     """
 
     recipe: Mapping[str, object]
@@ -105,6 +107,12 @@ class TrainingRecord:
     captures: tuple[str, ...]
     held_out: tuple[str, ...]
     judged: tuple[str, ...]
+    pairs_sha256: Mapping[str, str] = field(default_factory=dict)
+
+    def changed_in(self, other: TrainingRecord) -> tuple[str, ...]:
+        """Captures of both whose photos, rig or correction are no longer the same."""
+        both = self.pairs_sha256.keys() & other.pairs_sha256.keys()
+        return tuple(sorted(name for name in both if self.pairs_sha256[name] != other.pairs_sha256[name]))
 
 
 def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
@@ -183,10 +191,12 @@ def _take_up(
     record = _agreed_record(kept, prepared, recipe)
     state = state_for(run, recipe, device)
     if kept is not None and state.step + state.stage_index > 0:
-        grown = sorted(set(record.captures) - set(kept.captures))
-        if grown:
+        grown, changed = sorted(set(record.captures) - set(kept.captures)), kept.changed_in(record)
+        if grown or changed:
             _reopen(state)
-        reporter.said(_where_it_stands(run, plan, state, grown=grown))
+        if set(changed) & set(record.judged):
+            _forget_judgements(state)
+        reporter.said(_where_it_stands(run, plan, state, grown=grown, changed=changed))
     return record, state
 
 
@@ -198,14 +208,19 @@ def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: Traini
     drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
 
 
-def _where_it_stands(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str]) -> str:
+def _where_it_stands(
+    run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, grown: Sequence[str], changed: Sequence[str]
+) -> str:
     """One line on a training that was begun before."""
     if state.is_finished:
         return f"finished already: {run.weights}; --fresh starts over"
     resuming = f"resuming {plan[state.stage_index].name} at step {state.step}"
-    if not grown:
-        return resuming
-    return f"{counted(len(grown), 'new capture')}: {', '.join(grown[:5])}; {resuming} on the larger set"
+    told = [
+        f"{counted(len(names), f'{kind} capture')}: {', '.join(names[:5])}"
+        for kind, names in (("new", grown), ("changed", changed))
+        if names
+    ]
+    return "; ".join([*told, f"{resuming} on {'the larger set' if grown else 'them'}"]) if told else resuming
 
 
 def read_record(run: RunFolder) -> TrainingRecord | None:
@@ -223,7 +238,8 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
         check_stated_window((first, end))
         captures, held_out = _names(content["captures"]), _names(content["held_out"])
         judged = _names(content.get("judged", held_out or captures))
-        return TrainingRecord({**content["recipe"]}, (first, end), captures, held_out, judged)
+        prints = {str(name): str(value) for name, value in content.get("pairs_sha256", {}).items()}
+        return TrainingRecord({**content["recipe"]}, (first, end), captures, held_out, judged, prints)
     except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path} is damaged", hint="start over with --fresh") from error
 
@@ -238,9 +254,10 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     """The record to go on with: the kept one with what is new, or refuse where the recipe has changed."""
     names = tuple(item.capture.name for item in prepared.pairs)
     resolved = recipe.model_dump(mode="json")
+    prints = {item.capture.name: fingerprint(item.capture.tele_path.with_name(RECORD_NAME)) for item in prepared.pairs}
     if kept is None:
         held_out = _choose_held_out(names, recipe)
-        return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names)
+        return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names, prints)
     refuse_another_recipe(kept, resolved)
     # Held-out captures stay: the judge must not change under a network.
     held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
@@ -254,7 +271,7 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
             f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
             hint="add captures, or start over with --fresh",
         )
-    return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged)
+    return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged, prints)
 
 
 def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object]) -> None:
@@ -296,6 +313,14 @@ def _reopen(state: TrainingState) -> None:
         state.stage_judgements = state.stage_judgements[: state.stage_index]
         state.best_stage = min(state.best_stage, max(0, state.stage_index - 1))
         state.optimiser = new_optimiser(state.network)
+
+
+def _forget_judgements(state: TrainingState) -> None:
+    """What was judged by other photos is not comparable with what is judged now."""
+    state.stage_judgements = [math.nan] * len(state.stage_judgements)
+    state.judgements = [math.nan] * len(state.judgements)
+    if state.best is not None:
+        state.best.judgement = math.nan
 
 
 def _training(
@@ -365,9 +390,12 @@ def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, i
 
 
 def forget(run: RunFolder) -> None:
-    """Remove the files a training wrote, by their names, and nothing else that may lie there."""
+    """Remove the files a training wrote, by their names, and nothing else that may lie there.
+
+    The record goes last: stopped in between, what is left still has the record it was made by.
+    """
     if run.train.is_dir():
-        for path in run.train.iterdir():
+        for path in sorted(run.train.iterdir(), key=lambda path: path.name == run.training_record.name):
             if _OWN_FILES.fullmatch(path.name) and not path.is_dir():
                 path.unlink()
 
@@ -381,6 +409,7 @@ def write_record(run: RunFolder, record: TrainingRecord) -> None:
         "captures": list(record.captures),
         "held_out": list(record.held_out),
         "judged": list(record.judged),
+        "pairs_sha256": dict(record.pairs_sha256),
     }
     write_text(run.training_record, json.dumps(content, indent=2) + "\n")
 

@@ -436,3 +436,39 @@ def test_a_full_disk_stops_with_the_last_checkpoint_kept(
     assert "Traceback" not in done.stderr
     assert (run / "train" / "state.pt").read_bytes() == before
     assert run_training(captures, run, recipe).is_new
+
+
+def test_replaced_photos_are_trained_on(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
+    """Another picture under the name of one that was seen: the last stage is taken again, its judge asked anew."""
+    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+    run_training(captures, run, recipe)
+    write_captures(tmp_path / "more", count=1, seed=9, hw=(128, 192), factor=2)
+    shutil.rmtree(captures / "001")
+    shutil.copytree(tmp_path / "more" / "000", captures / "001")
+    heard = Observer()
+    assert run_training(captures, run, recipe, observer=heard).is_new
+    assert any("1 changed capture: 001" in message for message in heard.messages)
+    assert {stage for stage, _ in heard.losses} == {"feature-1"}
+    assert not run_training(captures, run, recipe).is_new
+
+
+def test_a_stop_while_starting_over_leaves_no_state_of_another_record(
+    captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever is removed first: as long as something is left, so is the record it was made by."""
+    run = RunFolder(tmp_path / "run")
+    run_training(captures, run.root, tiny(path=recipe_path))
+    remove, names = Path.unlink, [path.name for path in run.train.iterdir()]
+
+    def noted(path: Path, **kwargs: bool) -> None:
+        assert run.training_record.is_file()
+        remove(path, **kwargs)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", noted)
+        for listed in (sorted(names), sorted(names, reverse=True)):
+            patched.setattr(Path, "iterdir", lambda folder, listed=listed: iter([folder / name for name in listed]))
+            for name in names:
+                (run.train / name).touch()
+            telewide.stages.train.forget(run)
+            assert not any((run.train / name).exists() for name in ("state.pt", "training.json"))
