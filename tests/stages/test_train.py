@@ -49,7 +49,7 @@ RECIPE: Mapping[str, object] = {
 }
 SETTINGS = "from telewide.training import loop; import telewide.stages.train; loop.CHECKPOINT_EVERY_S = 0.0; "
 SETTINGS += "telewide.stages.train.LOG_EVERY_STEPS = 1; "
-NO_WORKERS = "telewide.stages.train._workers = lambda device: 0; "
+NO_WORKERS = "telewide.stages.train.workers_for = lambda device: 0; "
 RUN = "import sys; from telewide.cli import main; main(sys.argv[1:])"
 
 
@@ -92,7 +92,7 @@ def recipe_path(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Batches are made here, every step is logged, and one thread computes: sums of two are rounded otherwise."""
-    monkeypatch.setattr(telewide.stages.train, "_workers", lambda device: 0)
+    monkeypatch.setattr(telewide.stages.train, "workers_for", lambda device: 0)
     monkeypatch.setattr(telewide.stages.train, "LOG_EVERY_STEPS", 1)
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     threads = torch.get_num_threads()
