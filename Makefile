@@ -1,4 +1,4 @@
-# make setup | demo | test | test-slow | test-minima | mutants | lint | bench        (each sets up .venv first, once)
+# make setup | demo | test | test-slow | test-minima | mutants | soak | lint | bench        (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -12,7 +12,7 @@ MINIMA := .venv-minima
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
-.PHONY: setup demo box test test-slow test-minima mutants lint bench clean
+.PHONY: setup demo box test test-slow test-minima mutants soak lint bench clean
 
 setup: $(STAMP)
 
@@ -45,6 +45,10 @@ $(MINIMA)/.installed: pyproject.toml constraints.txt .ci/minima
 # Bugs planted one at a time: do the tests catch them? make mutants BUGS="training bokeh" plants some lists only.
 mutants: $(STAMP)
 	$(BIN)/python tests/mutants/run.py $(BUGS)
+
+# Strangers' files by the thousand, and links and pipes around a run folder: no traceback, no hang, nothing else touched.
+soak: $(STAMP)
+	TELEWIDE_MUTATIONS=2000 $(BIN)/python -m pytest -o faulthandler_timeout=0 tests/test_fuzz.py tests/test_canary.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

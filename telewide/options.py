@@ -94,7 +94,7 @@ def _set_in(data: dict[str, object], path: Sequence[str], value: object, *, sett
 
 
 def _explained(cls: type[Options], detail: ErrorDetails) -> str:
-    path = ".".join(str(part) for part in detail["loc"])
+    path = ".".join(str(part) for part in detail["loc"]).replace("\n", "\\n")
     if detail["type"] == "extra_forbidden":
         nearest = _nearest_key(cls, path)
         return f"unknown key {path}" + (f", did you mean {nearest}?" if nearest else "")

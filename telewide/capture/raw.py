@@ -128,7 +128,9 @@ def develop(path: Path, data: bytes, *, is_half_size: bool = False) -> RawPhoto:
             flip = raw.sizes.flip  # as stored: developing overwrites it
             white = _scaled_mosaic(path, raw, facts.opcodes[2])
             linear = _demosaiced(raw, facts, white=white, is_half_size=is_half_size)
-    except (rawpy.LibRawError, ValueError, AttributeError) as error:
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # LibRaw fails on damaged files in a dozen ways
         raise InputError(
             f"{path} cannot be developed as a RAW photo: {_reason(error)}",
             hint="copy the file again from the phone, or export it as an uncompressed DNG or a TIFF",

@@ -126,9 +126,9 @@ def load_state(
     Raises:
         InputError: the file is damaged, of another network, or of another plan.
     """
-    state = new_state(network_name, seed=0, device=device)
     try:
         content = torch.load(path, map_location=device, weights_only=True)
+        state = new_state(network_name, seed=0, device=device)
         state.network.load_state_dict(content["network"])
         state.average.load_state_dict(content["average"])
         _take_moments(state, content["optimiser"]["state"])

@@ -1,0 +1,149 @@
+"""Links and pipes planted in shared run and capture folders: whatever command is called, what they lead to stays.
+
+The canary holds a file of every name that telewide writes. Links lead to it from everywhere below the folders that a
+command is given; pipes and links to nowhere stand where records are read.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from pathlib import Path
+from types import FrameType
+
+import pytest
+from PIL import Image
+
+from telewide.cli import main
+from telewide.simulate.captures import write_captures
+
+NAMES = (
+    *("tele.png", "wide.png", "tele.jpg", "pair.json", "shot.json", "matches.npz", "labels_0_32.pfm", "run.json"),
+    *("state.pt", "weights.safetensors", "training.json", "log.jsonl", "rehearsal.png", "rehearsal.safetensors"),
+    *(
+        "disparity.pfm",
+        "disparity.png",
+        "depth.npz",
+        "depth.json",
+        "preview.png",
+        "bokeh.jpg",
+        "report.html",
+        "rig.yaml",
+    ),
+)
+TINY = ("--set", "train.rehearsal.steps=10", "--set", "train.crop_hw=[64,64]", "--set", "train.photometric.steps=0")
+TINY += ("--set", "train.stages=0", "--set", "train.rehearsal.rehearsed=1", "--set", "train.rehearsal.captured=0")
+LINKS = (
+    *("run/train", "run/depth", "run/pairs", "run/pairs/000", "run/depth/000"),
+    *(f"run/train/{name}" for name in ("log.jsonl", "state.pt", "training.json", "rehearsal.png")),
+    *("run/run.json", "run/report.html", "captures/000/pair.json", "captures/.000.partial", "captures/.telewide-x"),
+)
+PIPES = (
+    *("captures/captures.yaml", "captures/000/pair.json", "captures/001/tele.png", "roll/b.jpg", "rig.yaml"),
+    *("run/run.json", "run/train/log.jsonl", "run/train/training.json", "run/train/state.pt"),
+    *("run/train/weights.safetensors", "run/pairs/000/pair.json", "run/pairs/000/tele.png", "run/depth/000/depth.json"),
+)
+
+
+def first_quick(places: tuple[str, ...], n_quick: int) -> list[object]:
+    """The first few in the quick tests, the others in the slow ones."""
+    return [pytest.param(place, marks=[pytest.mark.slow] if at >= n_quick else []) for at, place in enumerate(places)]
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Captures, a roll of their photos, and the canary."""
+    root = tmp_path_factory.mktemp("clean")
+    write_captures(root / "captures", count=2, seed=1, hw=(96, 128), factor=2)
+    (root / "roll").mkdir()
+    for number, (view, focal_mm) in enumerate((("tele", 9.0), ("wide", 4.5))):
+        exif = Image.Exif()
+        exif.get_ifd(34665).update({36867: f"2024:05:06 07:08:0{number}", 37386: focal_mm, 41989: round(6 * focal_mm)})
+        with Image.open(root / "captures" / "000" / f"{view}.png") as photo:
+            photo.save(root / "roll" / f"{number}00.jpg", exif=exif)
+    (root / "canary").mkdir()
+    for name in NAMES:
+        (root / "canary" / name).write_text(f"precious {name}")
+    return root
+
+
+def state_of(folder: Path) -> dict[str, tuple[bytes, int]]:
+    return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
+
+
+def call_every_command(root: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """The exit code of each, none of which may take a minute."""
+    monkeypatch.chdir(root)
+    commands = (
+        "depth captures --method sgm --bokeh --quiet",
+        "depth captures --method sgm --run run --out run/depth --quiet",
+        f"train captures --fresh --quiet {' '.join(TINY)}",
+        f"run captures --quiet --out run {' '.join(TINY)}",
+        "import roll captures --quiet",
+        "calibrate captures --from-scenes --f35 54,27 --quiet --out rig.yaml",
+        "calibrate captures --quiet --out run/rig.yaml",
+        "show rig.yaml",
+        "board chessboard_9x6 --out run/board.pdf --quiet",
+        "simulate run --captures 1",
+        "benchmark matches captures --run run",
+    )
+    codes = {}
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        for command in commands:
+            signal.alarm(60)
+            with pytest.raises(SystemExit) as left:
+                main(command.split())
+            codes[command.split()[0]] = max(int(left.value.code or 0), codes.get(command.split()[0], 0))
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    return codes
+
+
+def copied(clean: Path, tmp_path: Path) -> Path:
+    root = tmp_path / "shared"
+    shutil.copytree(clean, root)
+    return root
+
+
+@pytest.mark.parametrize("place", first_quick(LINKS, 2))
+def test_the_canary_behind_a_link_never_changes(
+    clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    root = copied(clean, tmp_path)
+    target = root / "canary"
+    named = target / Path(place).name
+    link = root / place
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.symlink_to(named if named.exists() else target)
+    before = state_of(target)
+    codes = call_every_command(root, monkeypatch)
+    assert state_of(target) == before
+    assert set(codes.values()) <= {0, 2, 3, 4}, codes
+
+
+@pytest.mark.slow
+def test_links_to_nowhere_make_nothing_there(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = copied(clean, tmp_path)
+    for place in ("run/train/log.jsonl", "run/run.json", "run/report.html", "run/pairs/001", "captures/.x.partial"):
+        (root / place).parent.mkdir(parents=True, exist_ok=True)
+        (root / place).symlink_to(root / "nowhere")
+    codes = call_every_command(root, monkeypatch)
+    assert not (root / "nowhere").exists()
+    assert set(codes.values()) <= {0, 2, 3, 4}, codes
+
+
+@pytest.mark.parametrize("place", first_quick(PIPES, 1))
+def test_a_pipe_stops_no_command(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    root = copied(clean, tmp_path)
+    (root / place).parent.mkdir(parents=True, exist_ok=True)
+    (root / place).unlink(missing_ok=True)
+    os.mkfifo(root / place)
+    codes = call_every_command(root, monkeypatch)
+    assert set(codes.values()) <= {0, 2, 3, 4}, codes
