@@ -84,7 +84,15 @@ def depth_captures(
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
     device = "cpu" if options.method == "sgm" else options.device
-    with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
+    with begun(
+        captures_root,
+        run=run,
+        recipe=recipe,
+        device=device,
+        observer=observer,
+        rig=options.rig,
+        only=options.only,
+    ) as call:
         refuse_what_cannot_be(call, options)
         matcher = choose_matcher(call, method=options.method, weights=options.weights)
         make_folder(call, options)

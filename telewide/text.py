@@ -100,8 +100,8 @@ def command_line(*words: object, **options: object) -> str:
 
 
 @dataclass(frozen=True)
-class Call:
-    """A call that was made; the calls that are advised after it keep what it stated.
+class Invocation:
+    """A command as it was typed; the commands that are advised after it keep what it stated.
 
     Attributes:
         command: its subcommand.
@@ -125,6 +125,8 @@ class Call:
             words: its arguments; those of this call where there are none.
             changes: options besides, or in the place of those that both have; None leaves one out.
         """
+        if command == self.command:
+            return command_line(command, *(words or self.words), **{**self.options, **changes})
         run_option = "run" if command == "depth" else "out"
         mine = "run" if self.command == "depth" else "out"
         shared = {run_option: self.options.get(mine), "rig": self.options.get("rig")}

@@ -19,6 +19,12 @@ from telewide.text import with_options
 DOCUMENTS = ("*.md", "docs/*.md", "pipelines/*.yaml", "Makefile")
 SHARED_BY = {
     # The messages of a stage are read by whoever runs it: the options they name have to be there in every command.
+    "stages/train.py": ("train", "run"),
+    "training": ("train", "run"),
+    "stages/call.py": ("train", "depth", "run"),
+    "stages/run_folder.py": ("train", "depth", "run"),
+    "stages/pairs.py": ("train", "run"),
+    "stages/match.py": ("depth", "run"),
     "stages/prepare.py": ("train", "depth", "run"),
     "stages/align.py": ("train", "depth", "run"),
     "stages/calibrate.py": ("calibrate",),
@@ -137,12 +143,12 @@ def test_composed_commands_exist_with_their_options(repo: Path) -> None:
             if not isinstance(node, ast.Call) or not node.args or not isinstance(node.args[0], ast.Constant):
                 continue
             name = getattr(node.func, "id", getattr(node.func, "attr", ""))
-            if name not in ("command_line", "instead", "Call"):
+            if name not in ("command_line", "instead", "Invocation"):
                 continue
             n_seen += 1
             command = str(node.args[0].value)
             stated = {f"--{keyword.arg.replace('_', '-')}" for keyword in node.keywords if keyword.arg}
-            stated -= {"--options"} if name == "Call" else set()
+            stated -= {"--options"} if name == "Invocation" else set()
             if "commands" in vars(parser_of([command])[0]) or not stated <= flags_of(command):
                 refused.append((path.name, node.lineno, command, sorted(stated)))
     assert n_seen > 10

@@ -274,6 +274,22 @@ class TestNothingIsDoneTwice:
 
 
 class TestBokehOptions:
+    def test_a_known_distance_gives_an_f_number_its_baseline(self, simulated: Path) -> None:
+        """What a hint advises is not refused in its turn."""
+        captures, wide_open = find_captures(simulated), BokehOptions(f_number=1.8)
+        unstated = dataclasses.replace(captures, facts=CaptureFacts(rectified=True))
+        stated = dataclasses.replace(captures, facts=CaptureFacts(baseline_m=0.012))
+        for fine in ({"baseline_m": 0.012, "has_rig": True}, {"has_rig": True, "is_pinned": True}):
+            check_bokeh(wide_open, unstated, **fine)  # type: ignore[arg-type]
+        check_bokeh(wide_open, stated)
+        with pytest.raises(UsageError, match="captures") as refused:
+            check_bokeh(wide_open, unstated)
+        assert "baseline_m in captures.yaml" in str(refused.value.hint)
+        with pytest.raises(UsageError, match="the rig") as refused:
+            check_bokeh(wide_open, stated, has_rig=True)
+        assert "`distance`" in str(refused.value.hint)
+        assert "captures.yaml" not in str(refused.value.hint)
+
     def test_a_point_in_any_photo_will_do(self, simulated: Path) -> None:
         captures = find_captures(simulated)
         check_bokeh(None, captures)

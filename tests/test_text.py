@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telewide.text import Call, command_line, counted, json_text, printable
+from telewide.text import Invocation, command_line, counted, json_text, printable
 
 
 def test_one_is_singular_and_no_other_number_is() -> None:
@@ -46,7 +46,7 @@ def test_a_shell_reads_what_was_meant() -> None:
 
 
 def test_a_call_that_is_advised_keeps_what_was_stated() -> None:
-    run = Call(
+    run = Invocation(
         "run", ("my captures",), {"out": "run B", "rig": "phone B.yaml", "seed": 3, "recipe": "quick", "set": ["a=1"]}
     )
     stated = "--out 'run B' --rig 'phone B.yaml' --seed 4 --recipe quick --set a=1"
@@ -60,9 +60,10 @@ def test_a_call_that_is_advised_keeps_what_was_stated() -> None:
 
 
 def test_results_of_depth_are_no_run_folder() -> None:
-    depth = Call("depth", ("captures",), {"run": "mine", "out": "results", "focus": "near", "device": "cpu"})
+    depth = Invocation("depth", ("captures",), {"run": "mine", "out": "results", "focus": "near", "device": "cpu"})
     assert depth.instead("train") == "telewide train captures --out mine --device cpu"
-    assert depth.instead("depth", method="sgm") == "telewide depth captures --run mine --device cpu --method sgm"
+    again = depth.instead("depth", "captures/one", device=None)
+    assert again == "telewide depth captures/one --run mine --out results --focus near"
 
 
 HOSTILE = "a\x1b]0;owned\x07\x1b[2J\x7f\x9b31m\r\u202eb\x00\udcff"

@@ -39,23 +39,36 @@ class BokehOptions:
     f_number: float | None = None
 
 
-def check_bokeh(bokeh: BokehOptions | None, captures: CaptureSet, *, baseline_m: float | None = None) -> None:
+def check_bokeh(
+    bokeh: BokehOptions | None,
+    captures: CaptureSet,
+    *,
+    baseline_m: float | None = None,
+    has_rig: bool = False,
+    is_pinned: bool = False,
+) -> None:
     """Refuse a bokeh that no capture of a set can have, before hours are spent on the way to it.
 
     Args:
         bokeh: as asked for; None is always fine.
         captures: the set.
         baseline_m: distance of the lenses where a rig states it; None asks what is stated of the captures.
+        has_rig: whether they are rectified with a rig; then what is stated of the captures does not count.
+        is_pinned: whether a known distance will give the rig its scale.
 
     Raises:
         UsageError: an f-number without the lenses' distance, or a focus that is no word and no point of any tele photo.
     """
     if bokeh is None:
         return
-    if bokeh.f_number is not None and (baseline_m or captures.facts.baseline_m) is None:
+    stated_m = baseline_m if has_rig else captures.facts.baseline_m
+    if bokeh.f_number is not None and stated_m is None and not is_pinned:
         raise UsageError(
-            "`f_number` needs the distance of the two lenses, which neither a rig nor captures.yaml states",
-            hint="calibrate, state baseline_m in captures.yaml, or give the blur in pixels with `strength`",
+            f"`f_number` needs the distance of the two lenses, which {'the rig' if has_rig else 'captures.yaml'} does "
+            "not state",
+            hint="pin the rig to a measured distance with `distance`, or give the blur in pixels with `strength`"
+            if has_rig
+            else "state baseline_m in captures.yaml, or give the blur in pixels with `strength`",
         )
     if named_point(bokeh.focus, hw=None) is None:
         return

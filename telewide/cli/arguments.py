@@ -25,6 +25,9 @@ RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, 
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe; may be repeated.")
 ]
+OnlyOption = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="This capture alone; may be repeated. [default: all]")
+]
 DistanceOption = Annotated[
     str | None,
     typer.Option(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from telewide.errors import QualityError
-from telewide.text import json_text, printable, with_options
+from telewide.text import Invocation, json_text, printable, with_options
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -37,13 +37,35 @@ class Bar:
             self._shown[0].update(self._shown[1], completed=done, total=total)
 
 
+def typed(context: typer.Context) -> Invocation:
+    """Tell what was typed: the arguments, default ones too, and the options that were given.
+
+    Args:
+        context: of the running command.
+    """
+    words: list[object] = []
+    options: dict[str, object] = {}
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        value = context.params.get(name)
+        source = context.get_parameter_source(name)
+        if parameter.param_type_name == "argument":
+            words.append(value)
+        elif source is not None and source.name == "COMMANDLINE" and name not in ("as_json", "quiet"):
+            options[parameter.opts[0].lstrip("-").replace("-", "_")] = value
+    return Invocation(str(context.info_name), tuple(words), options)
+
+
 @contextmanager
-def console_observer(*, is_quiet: bool = False, shows_table: bool = True) -> Iterator[ConsoleObserver]:
+def console_observer(
+    *, is_quiet: bool = False, shows_table: bool = True, invocation: Invocation | None = None
+) -> Iterator[ConsoleObserver]:
     """Tell on standard error what a pipeline does; of several processes one tells.
 
     Args:
         is_quiet: say nothing but problems.
         shows_table: print the table of the captures.
+        invocation: the command that was typed, as `typed` tells.
 
     Yields:
         The observer.
@@ -52,7 +74,7 @@ def console_observer(*, is_quiet: bool = False, shows_table: bool = True) -> Ite
     from telewide.cli.terminal import TerminalConsole
 
     console = TerminalConsole(stderr=True, quiet=not this_process().is_writer)
-    observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table)
+    observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table, invocation=invocation)
     try:
         yield observer
     finally:

@@ -15,11 +15,12 @@ from telewide.cli.arguments import (
     FocusOption,
     JsonOption,
     MethodOption,
+    OnlyOption,
     QuietOption,
     RigOption,
     StrengthOption,
 )
-from telewide.cli.console import console_observer, hand_over
+from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cores import Device
 from telewide.errors import QualityError, UsageError
 from telewide.matching.methods import Method
@@ -34,6 +35,7 @@ DEPTH_EPILOG = "Example: `telewide depth --bokeh --focus near`; without a traine
 
 
 def depth(
+    context: typer.Context,
     captures: CapturesArgument = Path("captures"),
     *,
     # torchrun takes what begins like its own --run-path for itself: hence a second name.
@@ -48,6 +50,7 @@ def depth(
     strength: StrengthOption = None,
     rig: RigOption = None,
     distance: DistanceOption = None,
+    only: OnlyOption = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: RUN/depth]")] = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -70,15 +73,16 @@ def depth(
         device=device,
         rig=rig,
         distance=distance,
+        only=tuple(only or ()),
     )
     from telewide.pipeline import depth_captures
     from telewide.stages.depth import recipe_of_depth
 
-    with console_observer(is_quiet=quiet, shows_table=False) as observer:
+    with console_observer(is_quiet=quiet, shows_table=False, invocation=typed(context)) as observer:
         recipe = recipe_of_depth(run, captures, weights=weights)
         done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
         say_depth(done, observer)
-    hand_over(depth_as_json(done), failure=why_not_good(done), as_json=as_json)
+    hand_over(depth_as_json(done, observer), failure=why_not_good(done), as_json=as_json)
 
 
 def depth_options(
@@ -90,6 +94,7 @@ def depth_options(
     device: Device,
     rig: Path | None,
     distance: str | None,
+    only: tuple[str, ...] = (),
 ) -> DepthOptions:
     """Turn words of the command line into the options of depth.
 
@@ -101,6 +106,7 @@ def depth_options(
         device: as given to ``--device``.
         rig: a file, or None for the one by the captures.
         distance: as given to ``--distance``.
+        only: as given to ``--only``.
 
     Raises:
         UsageError: a word that is none of the known ones, or a file that is not there.
@@ -120,6 +126,7 @@ def depth_options(
         rig=rig,
         known=None if distance is None or trusts_focus else parse_known_distance(distance),
         trusts_focus=trusts_focus,
+        only=only,
     )
 
 
@@ -164,7 +171,7 @@ def why_not_good(done: DepthRun) -> QualityError | None:
     )
 
 
-def depth_as_json(done: DepthRun) -> dict[str, object]:
+def depth_as_json(done: DepthRun, observer: ConsoleObserver) -> dict[str, object]:
     """Return what was written as plain data, for ``--json``."""
     return {
         "folder": str(done.folder),
@@ -178,5 +185,6 @@ def depth_as_json(done: DepthRun) -> dict[str, object]:
             }
             for outcome in done.outcomes
         ],
+        "warnings": list(observer.warnings),
         "problems": [{"name": problem.name, "message": problem.message} for problem in done.problems],
     }

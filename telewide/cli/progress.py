@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from telewide.text import counted
+from telewide.text import Invocation, counted
 
 if TYPE_CHECKING:
     from telewide.capture.pair import CaptureSet, Problem
@@ -41,11 +41,15 @@ class ConsoleObserver:
         console: of standard error.
         is_quiet: say nothing but problems.
         shows_table: print the table of the captures.
+        invocation: the command that was typed.
+        warnings: what was warned of so far.
     """
 
     console: Console
     is_quiet: bool = False
     shows_table: bool = True
+    invocation: Invocation | None = None
+    warnings: list[str] = field(default_factory=list)
     _progress: Progress | None = None
     _task: TaskID | None = None
     _loss: float = math.nan
@@ -104,7 +108,8 @@ class ConsoleObserver:
         return self._advance
 
     def warned(self, message: str) -> None:
-        """Print a line that is not kept back."""
+        """Print a line that is not kept back, and keep it for the answer in JSON."""
+        self.warnings.append(message)
         self.console.print(message, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def stage_started(self, stage: Stage, *, first_step: int) -> None:

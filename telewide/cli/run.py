@@ -21,13 +21,14 @@ from telewide.cli.arguments import (
     SetOption,
     StrengthOption,
 )
-from telewide.cli.console import console_observer, hand_over
+from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cli.depth import bokeh_options, depth_as_json, depth_options, say_depth, why_not_good
 
 RUN_EPILOG = "Example: `telewide run examples/captures --recipe quick`"
 
 
 def run_everything(
+    context: typer.Context,
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
@@ -57,9 +58,9 @@ def run_everything(
         distance=distance,
     )
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
-    with console_observer(is_quiet=quiet) as observer:
+    with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:
         done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
         say_depth(done, observer)
         observer.said(f"report: {done.report}")
-    answer = {**depth_as_json(done), "report": str(done.report)}
+    answer = {**depth_as_json(done, observer), "report": str(done.report)}
     hand_over(answer, failure=why_not_good(done), as_json=as_json)

@@ -17,13 +17,13 @@ from telewide.cli.arguments import (
     SeedOption,
     SetOption,
 )
-from telewide.cli.console import console_observer, print_json
-from telewide.text import command_line
+from telewide.cli.console import console_observer, print_json, typed
 
 TRAIN_EPILOG = "Example: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`"
 
 
 def train(
+    context: typer.Context,
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
@@ -39,7 +39,7 @@ def train(
     """Train a stereo network on your own captures, without labels; run again to continue."""
     from telewide.api import train as train_network
 
-    with console_observer(is_quiet=quiet) as observer:
+    with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:
         outcome = train_network(
             captures,
             run=out,
@@ -51,9 +51,8 @@ def train(
             fresh=fresh,
             observer=observer,
         )
-        named = () if captures == Path("captures") else (captures,)
         observer.said(f"weights: {outcome.weights}")
-        observer.said(f"next: {command_line('depth', *named, run=out, rig=rig, bokeh=True)}")
+        observer.said(f"next: {typed(context).instead('depth', bokeh=True)}")
     if as_json:
         print_json(
             {
@@ -61,5 +60,6 @@ def train(
                 "is_new": outcome.is_new,
                 "best_stage": outcome.best_stage,
                 "clipped_px": dict(outcome.stages),
+                "warnings": list(observer.warnings),
             }
         )

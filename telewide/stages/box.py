@@ -105,7 +105,7 @@ def _take_up(
     processes.wait()
     kept, state = read_record(folder), state_for(folder, recipe, device)
     if kept is not None:
-        refuse_another_recipe(kept, resolved)
+        refuse_another_recipe(kept, resolved, anew="fresh=True")
         if state.step + state.stage_index and not state.is_finished:
             observer.said(f"resuming {planned(recipe)[state.stage_index].name} at step {state.step}")
     processes.wait()  # all have read what the writer now changes

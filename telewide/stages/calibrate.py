@@ -32,7 +32,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.pages.report import NextStep
 from telewide.pages.rig_report import write_rig_report
 from telewide.stages.observer import Observer
-from telewide.text import Call, command_line, counted
+from telewide.text import Invocation, command_line, counted
 
 BOARDS_FOLDER = Path("boards")
 CAPTURES_FOLDER = Path("captures")
@@ -223,10 +223,10 @@ def _write_report(boards: Path, solved: SolvedBoards, *, options: CalibrateOptio
     return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
 
 
-def calibrate_call(boards: Path, options: CalibrateOptions) -> Call:
+def calibrate_call(boards: Path, options: CalibrateOptions) -> Invocation:
     """The call that makes this rig from these photos, for the calls advised after it."""
     stated = {"board": options.board, "square_m": options.square_m, "seed": options.seed or None}
-    return Call("calibrate", (boards,), {**stated, "out": stated_rig(options.out)})
+    return Invocation("calibrate", (boards,), {**stated, "out": stated_rig(options.out)})
 
 
 def stated_rig(rig: Path) -> Path | None:

@@ -47,7 +47,7 @@ from telewide.points.matches import Matches
 from telewide.points.photo_matches import find_photo_matches
 from telewide.stages.calibrate import stated_rig
 from telewide.stages.observer import Observer
-from telewide.text import Call, command_line, counted
+from telewide.text import Invocation, command_line, counted
 
 Hw = tuple[int, int]
 
@@ -312,7 +312,7 @@ def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:
     return tuple(views)
 
 
-def scenes_call(captures: Path, options: SceneOptions) -> Call:
+def scenes_call(captures: Path, options: SceneOptions) -> Invocation:
     """The call that makes this rig from these captures, for the calls advised after it."""
     stated = {
         "from_scenes": True,
@@ -322,7 +322,7 @@ def scenes_call(captures: Path, options: SceneOptions) -> Call:
         "seed": options.seed or None,
         "out": stated_rig(options.out),
     }
-    return Call("calibrate", (captures,), stated)
+    return Invocation("calibrate", (captures,), stated)
 
 
 def _next_steps(

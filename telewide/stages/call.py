@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from telewide.calibration.rig_file import StoredRig
@@ -18,6 +19,7 @@ from telewide.stages.observer import Observer
 from telewide.stages.pairs import PreparedSet
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
+from telewide.text import Invocation
 from telewide.training.processes import Processes, joined_processes
 
 
@@ -34,6 +36,7 @@ class Call:
         observer: is told of the progress.
         rig: what to rectify with; None for captures that are rectified.
         rig_file: the rig file as its user named it, or None.
+        invocation: the command that was typed, or one that does the same; advised commands take it up.
         begun_s: when the call began, on the monotonic clock.
     """
 
@@ -45,12 +48,20 @@ class Call:
     observer: Observer
     rig: StoredRig | None
     rig_file: Path | None
+    invocation: Invocation
     begun_s: float = field(default_factory=time.monotonic)
 
 
 @contextmanager
 def begun(
-    captures_root: Path, *, run: Path | None, recipe: Recipe, device: Device, observer: Observer, rig: Path | None
+    captures_root: Path,
+    *,
+    run: Path | None,
+    recipe: Recipe,
+    device: Device,
+    observer: Observer,
+    rig: Path | None,
+    only: Sequence[str] = (),
 ) -> Iterator[Call]:
     """Find captures, run folder and rig, wait until nobody else works there, and join the processes.
 
@@ -61,15 +72,16 @@ def begun(
         device: auto, cpu or cuda.
         observer: is told of the progress.
         rig: rig file, or None for the one that lies by the captures.
+        only: names of the captures to take; empty for all.
 
     Yields:
         What the stages share.
 
     Raises:
-        UsageError: a folder or file that is not there.
+        UsageError: a folder, file or capture that is not there.
         InputError: photos straight from a phone have no rig; a folder in the run folder is a link.
     """
-    folder, captures = locate_run(run, captures_root), find_captures(captures_root)
+    folder, captures = locate_run(run, captures_root), _chosen(find_captures(captures_root), only)
     if folder.root.resolve() == captures_root.resolve():
         raise UsageError(
             f"{captures_root} holds the captures; a run needs a folder of its own", hint="name another one"
@@ -82,7 +94,22 @@ def begun(
         if processes.is_writer:
             held.enter_context(alone_in(folder.root, waiting=observer.said))
         processes.wait()
-        yield Call(captures, folder, recipe, device, processes, observer, found_rig, rig)
+        by_program = Invocation("train", (captures_root,), {"out": run, "rig": rig})
+        invocation = observer.invocation or by_program
+        yield Call(captures, folder, recipe, device, processes, observer, found_rig, rig, invocation)
+
+
+def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:
+    if not only:
+        return captures
+    known = [capture.name for capture in captures.captures]
+    for name in only:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
+            raise UsageError(f"{captures.root} holds no capture {name}", hint=f"known ones: {', '.join(near)} ...")
+    chosen = tuple(capture for capture in captures.captures if capture.name in only)
+    problems = tuple(problem for problem in captures.problems if problem.name in only)
+    return replace(captures, captures=chosen, problems=problems)
 
 
 def record(

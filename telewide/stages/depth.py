@@ -27,6 +27,7 @@ from telewide.stages.match import Matcher
 from telewide.stages.observer import Observer
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import RECORD_NAME
+from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import locate_run
 from telewide.text import command_line, counted
 
@@ -44,6 +45,7 @@ class DepthOptions:
         rig: rig file, or None for the one that lies by the captures.
         known: a point of known distance, or None.
         trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
+        only: names of the captures to take; empty for all.
     """
 
     method: Method = "joint"
@@ -54,6 +56,7 @@ class DepthOptions:
     rig: Path | None = None
     known: KnownDistance | None = None
     trusts_focus: bool = False
+    only: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,8 @@ def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
         return load_recipe(DEFAULT_RECIPE)
     content = read_json(path)
     if not isinstance(content, dict) or "recipe" not in content:
-        raise InputError(f"{path} is damaged", hint="train again with --fresh")
+        anew = command_line("train", captures_root, out=run, fresh=True)
+        raise InputError(f"{path} is damaged", hint=f"train again: {anew}")
     return parse_options(Recipe, content["recipe"], source=str(path), error=InputError)
 
 
@@ -115,9 +119,11 @@ def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:
             results that would lie among the photos.
     """
     _refuse_the_photos_folder(call, options.out or call.folder.depth)
-    rig = None if call.rig is None else call.rig.rig
-    check_bokeh(options.bokeh, call.captures, baseline_m=rig.baseline_m if rig and rig.is_scale_known else None)
     _check_distance(call, options)
+    rig = None if call.rig is None else call.rig.rig
+    baseline_m = rig.baseline_m if rig and rig.is_scale_known else None
+    is_pinned = rig is not None and (options.known is not None or options.trusts_focus)
+    check_bokeh(options.bokeh, call.captures, baseline_m=baseline_m, has_rig=rig is not None, is_pinned=is_pinned)
 
 
 def _refuse_the_photos_folder(call: Call, out: Path) -> None:
@@ -130,14 +136,16 @@ def _refuse_the_photos_folder(call: Call, out: Path) -> None:
 
 def _check_distance(call: Call, options: DepthOptions) -> None:
     if options.known is not None and len(call.captures.captures) > 1:
-        one = call.captures.root / call.captures.captures[0].name
+        stated = call.invocation.options.get("distance", "X,Y,M")
+        one = call.invocation.instead("depth", only=call.captures.captures[0].name, distance=stated)
         raise UsageError(
             f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
-            hint=f"name one: {command_line('depth', one, rig=call.rig_file, distance='X,Y,M')}",
+            hint=f"name one: {one}",
         )
     if (options.known is not None or options.trusts_focus) and call.rig is None:
         raise UsageError(
-            "--distance needs a rig: without one no disparity is a distance", hint="make one: telewide calibrate"
+            "--distance needs a rig: without one no disparity is a distance",
+            hint=how_to_calibrate(call.captures.root),
         )
     if options.known is not None:
         with suppress(InputError):  # a photo that cannot be read is a problem of its capture, said where it is read
@@ -205,6 +213,8 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
         same = "same photos, same weights, same options"
         call.observer.said(f"kept as they were: {n_kept} of {counted(len(outcomes), 'capture')}, {same}")
     asked = {**asdict(options), "matcher": matcher.key}
+    if options.trusts_focus:
+        asked["trusts_focus"] = [item.capture.name for item in prepared.pairs if _stated_focus(item) is not None]
     record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
     problems = (*prepared.problems, *(failure.problem for failure in failures))
     return DepthRun(options.out or call.folder.depth, outcomes, problems)
@@ -232,7 +242,10 @@ def _depth_of(
     options: DepthOptions,
 ) -> DepthOutcome | DepthFailure:
     """Match one pair, bring the result to the photo's own size and edges, and write it."""
-    known = _stated_focus(item, call.observer) if options.trusts_focus else options.known
+    known = _stated_focus(item) if options.trusts_focus else options.known
+    if options.trusts_focus and known is None:
+        told = "EXIF states no distance of the focus (SubjectDistance), so none is used"
+        call.observer.warned(f"{item.capture.name}: {told}")
     shot = _shot(item, prepared, known)
     return depth_of_capture(
         item.source,
@@ -246,11 +259,10 @@ def _depth_of(
     )
 
 
-def _stated_focus(item: PreparedPair, observer: Observer) -> KnownDistance | None:
-    """Where EXIF says the tele lens was focused; None, and said, where it says nothing or infinity."""
+def _stated_focus(item: PreparedPair) -> KnownDistance | None:
+    """Where EXIF says the tele lens was focused; None where it says nothing or infinity."""
     facts = read_photo_facts(item.source.tele_path)
     if facts.hw is None or facts.subject_distance_m is None or not math.isfinite(facts.subject_distance_m):
-        observer.said(f"{item.capture.name}: EXIF states no distance of the focus (SubjectDistance), so none is used")
         return None
     return focused_at(facts.subject_distance_m, hw=facts.hw)
 

@@ -18,8 +18,6 @@ from telewide.matching.window import Window
 from telewide.options import parse_options
 from telewide.recipe import Recipe
 from telewide.stages.call import Call
-from telewide.stages.run_folder import RunFolder, locate_run
-from telewide.text import command_line
 from telewide.training.options import WEIGHTS_NAME
 
 if TYPE_CHECKING:
@@ -68,13 +66,15 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Match
     """
     path = weights or call.folder.weights
     if method != "sgm" and not path.is_file():  # said before torch is imported, which takes seconds
+        untrained = call.invocation.instead("depth", method="sgm", weights=None, device=None)
         raise UsageError(
             f"{path} does not exist" if weights else f"{call.folder.root} holds no trained network",
-            hint=_how_to_match(call.folder, call.captures.root, rig=call.rig_file),
+            hint=f"train one: {call.invocation.instead('train')}\n  or match at once, untrained: {untrained}",
         )
     matcher = read_matcher(path, method=method, device=call.device)
     if matcher.doubt is not None:
-        call.observer.said(matcher.doubt)
+        goes_on = "" if weights else f"; {call.invocation.instead('train')} goes on"
+        call.observer.said(f"{matcher.doubt}{goes_on}")
     return matcher
 
 
@@ -107,14 +107,6 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
     return Matcher(match, f"{method} {fingerprint(weights)}", card.window, _unfinished(weights, card))
 
 
-def _how_to_match(run: RunFolder, captures_root: Path, *, rig: Path | None) -> str:
-    """The commands that make weights for these captures, and that go without."""
-    out = None if run == locate_run(None, captures_root) else run.root
-    trained = command_line("train", captures_root, out=out, rig=rig)
-    untrained = command_line("depth", captures_root, method="sgm", rig=rig)
-    return f"train one with: {trained}  or match at once, untrained: {untrained}"
-
-
 def _unfinished(weights: Path, card: WeightsCard) -> str | None:
     """Where the training stands that goes on writing a weights file; None where it is finished, or nothing tells."""
     from telewide.matching.inference import choose_device
@@ -133,4 +125,4 @@ def _unfinished(weights: Path, card: WeightsCard) -> str | None:
         return None
     stage = plan[state.stage_index]
     place = f"{stage.name}, step {state.step} of {stage.options.steps}"
-    return f"the training is not finished ({place}): telewide train goes on"
+    return f"the training of these weights is not finished ({place})"

@@ -9,6 +9,7 @@ from telewide.capture.pair import CaptureSet, Problem
 from telewide.correction.verdict import PairReport
 from telewide.stages.capture_depth import DepthOutcome
 from telewide.stages.pairs import PreparedSet
+from telewide.text import Invocation
 from telewide.training.reporter import Reporter
 
 if TYPE_CHECKING:
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
 
 class Observer(Reporter, Protocol):
     """Receives the progress of a pipeline or of a calibration; all of a training's reporter, and the other stages."""
+
+    @property
+    def invocation(self) -> Invocation | None:
+        """The command that its person typed, which advised commands take up; None where a program calls."""
+
+    def warned(self, message: str) -> None:
+        """Something is less than what was asked for; a person is told even where little is said."""
 
     def detecting(self, total: int) -> Callable[[], None]:
         """Boards or matches are about to be looked for in ``total`` shots; the answer is called after each."""
@@ -51,6 +59,11 @@ class Observer(Reporter, Protocol):
 class Silent:
     """An observer that does nothing; subclasses override what they want to know."""
 
+    @property
+    def invocation(self) -> Invocation | None:
+        """No command was typed."""
+        return None
+
     def stage_started(self, stage: Stage, *, first_step: int) -> None:
         """Ignore it."""
 
@@ -64,6 +77,9 @@ class Silent:
         """Ignore it."""
 
     def said(self, message: str) -> None:
+        """Ignore it."""
+
+    def warned(self, message: str) -> None:
         """Ignore it."""
 
     def detecting(self, total: int) -> Callable[[], None]:

@@ -111,8 +111,6 @@ def _believable(window: Window) -> Window:
     try:
         check_stated_window(window)
     except ValueError as error:
-        hint = (
-            "state the window yourself with --set window_px, or leave the captures out whose disparities are so large"
-        )
+        hint = "state window_px in the recipe, or leave the captures out whose disparities are so large"
         raise InputError(f"{error}: so far apart are the matches of these pairs", hint=hint) from error
     return window

@@ -101,7 +101,7 @@ def prepare(call: Call) -> PreparedSet:
     captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
     if call.rig is not None and call.rig.quality.verdict == "insufficient":
         shown = command_line("show", call.rig_file or RIG_FILE)
-        call.observer.said(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
+        call.observer.warned(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
     call.observer.preparing(captures)
     if call.processes.world == 1:
         prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)

@@ -11,6 +11,7 @@ from telewide.capture.facts import FACTS_FILE
 from telewide.capture.importer import is_imported
 from telewide.capture.pair import CaptureSet
 from telewide.errors import InputError, UsageError
+from telewide.text import command_line
 
 _log = logging.getLogger("telewide")
 
@@ -74,7 +75,7 @@ def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:
 
 def how_to_calibrate(root: Path) -> str:
     """Name the commands that make a rig for the captures of a folder."""
-    return (
-        "calibrate first: telewide calibrate boards/ from photos of a board, or without a board: "
-        f"telewide calibrate {root} --from-scenes"
-    )
+    rig = root / RIG_FILE
+    boards = command_line("calibrate", "boards", out=rig)
+    scenes = command_line("calibrate", root, from_scenes=True, out=rig)
+    return f"calibrate first, from photos of a board: {boards}, or without a board: {scenes}"

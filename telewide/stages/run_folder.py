@@ -94,10 +94,10 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
         linked = next((place for place in (here, beside) if place.is_symlink()), None)
         if linked is not None:
             target = linked.readlink()
-            raise UsageError(f"{linked} is a link to {target}", hint="name the run folder, with --run or --out")
+            raise UsageError(f"{linked} is a link to {target}", hint="name the run folder itself")
         run = beside if beside.is_dir() and not here.is_dir() else here
     if run.exists() and not run.is_dir():
-        raise UsageError(f"{run} is a file; the run folder was expected there", hint="name another folder with --run")
+        raise UsageError(f"{run} is a file; the run folder was expected there", hint="name another one")
     return RunFolder(run)
 
 

@@ -144,7 +144,7 @@ def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.devi
     if fresh and processes.is_writer:
         forget(run)
     processes.wait()
-    record, state = _take_up(prepared, run, plan, recipe=recipe, device=device, reporter=observer)
+    record, state = _take_up(call, prepared, plan, device=device)
     processes.wait()  # all have read what the writer now changes
     if state.is_finished:
         return outcome_of(run, plan, state, is_new=False)
@@ -178,25 +178,24 @@ def _label(prepared: PreparedSet, record: TrainingRecord, processes: Processes, 
 
 
 def _take_up(
-    prepared: PreparedSet,
-    run: RunFolder,
-    plan: Sequence[Stage],
-    *,
-    recipe: Recipe,
-    device: torch.device,
-    reporter: Reporter,
+    call: Call, prepared: PreparedSet, plan: Sequence[Stage], *, device: torch.device
 ) -> tuple[TrainingRecord, TrainingState]:
     """The training that lies in a run folder, and what is new to it; or a new one."""
-    kept = read_record(run)
-    record = _agreed_record(kept, prepared, recipe)
-    state = state_for(run, recipe, device)
+    run, anew = call.folder, call.invocation.instead("train", fresh=True)
+    try:
+        kept = read_record(run)
+        state = state_for(run, call.recipe, device)
+    except InputError as error:
+        raise InputError(error.message, hint=f"start over: {anew}") from error
+    record = _agreed_record(kept, prepared, call.recipe, anew=anew)
     if kept is not None and state.step + state.stage_index > 0:
         grown, changed = sorted(set(record.captures) - set(kept.captures)), kept.changed_in(record)
         if grown or changed:
             _reopen(state)
         if set(changed) & set(record.judged):
             _forget_judgements(state)
-        reporter.said(_where_it_stands(run, plan, state, grown=grown, changed=changed))
+        stands = _where_it_stands(run, plan, state, grown=grown, changed=changed)
+        call.observer.said(f"{stands}; to start over: {anew}" if state.is_finished else stands)
     return record, state
 
 
@@ -213,7 +212,7 @@ def _where_it_stands(
 ) -> str:
     """One line on a training that was begun before."""
     if state.is_finished:
-        return f"finished already: {run.weights}; --fresh starts over"
+        return f"finished already: {run.weights}"
     resuming = f"resuming {plan[state.stage_index].name} at step {state.step}"
     told = [
         f"{counted(len(names), f'{kind} capture')}: {', '.join(names[:5])}"
@@ -241,7 +240,7 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
         prints = {str(name): str(value) for name, value in content.get("pairs_sha256", {}).items()}
         return TrainingRecord({**content["recipe"]}, (first, end), captures, held_out, judged, prints)
     except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path} is damaged", hint="start over with --fresh") from error
+        raise InputError(f"{path} is damaged") from error
 
 
 def _names(plain: Sequence[object]) -> tuple[str, ...]:
@@ -250,32 +249,44 @@ def _names(plain: Sequence[object]) -> tuple[str, ...]:
     return tuple(map(str, plain))
 
 
-def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe) -> TrainingRecord:
-    """The record to go on with: the kept one with what is new, or refuse where the recipe has changed."""
+def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe, *, anew: str) -> TrainingRecord:
+    """The record to go on with: the kept one with what is new, or refuse where the recipe has changed.
+
+    Args:
+        kept: of the training that lies there.
+        prepared: the pairs.
+        recipe: resolved.
+        anew: the command that starts over, to be advised.
+    """
     names = tuple(item.capture.name for item in prepared.pairs)
     resolved = recipe.model_dump(mode="json")
     prints = {item.capture.name: fingerprint(item.capture.tele_path.with_name(RECORD_NAME)) for item in prepared.pairs}
     if kept is None:
         held_out = _choose_held_out(names, recipe)
         return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names, prints)
-    refuse_another_recipe(kept, resolved)
+    refuse_another_recipe(kept, resolved, anew=anew)
     # Held-out captures stay: the judge must not change under a network.
     held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
     if not judged:
         raise UsageError(
             f"the captures that this training is judged by are no longer there: {', '.join(kept.judged)}",
-            hint="put them back, or start over with --fresh",
+            hint=f"put them back, or start over: {anew}",
         )
     if len(held_out) == len(names):
         raise UsageError(
             f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
-            hint="add captures, or start over with --fresh",
+            hint=f"add captures, or start over: {anew}",
         )
     return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged, prints)
 
 
-def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object]) -> None:
+def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object], *, anew: str) -> None:
     """Refuse to go on with a training by another recipe than it was begun with.
+
+    Args:
+        kept: of the training that lies there.
+        resolved: the recipe of now, as plain data.
+        anew: how to start over.
 
     Raises:
         UsageError: naming the keys that differ.
@@ -284,7 +295,7 @@ def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object]) 
     if changed:
         raise UsageError(
             f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
-            hint="use the same recipe to continue, --fresh to start over, or --out for another run folder",
+            hint=f"continue with the same recipe, name another run folder with --out, or start over: {anew}",
         )
 
 

@@ -146,7 +146,7 @@ def load_state(
     except Exception as error:  # torch and pickle fail on damaged files in a dozen ways
         raise InputError(
             f"{path} is not a checkpoint of this {network_name} training, or is damaged",
-            hint="start over with `fresh`, or name another run folder with `out`",
+            hint="train again, from the start or in another run folder",
         ) from error
     return state
 

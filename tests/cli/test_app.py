@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from importlib import metadata
@@ -17,6 +18,7 @@ from capture.roll import TELE, WIDE, exif_of, write_photo
 
 from telewide.capture.images import write_image
 from telewide.cli import main
+from telewide.cli.progress import ConsoleObserver
 from telewide.cli.stopping import UNREAD
 from telewide.simulate.captures import write_captures
 
@@ -105,8 +107,8 @@ def test_photos_straight_from_a_phone_are_calibrated_first(
     assert run_cli("import", "DCIM", "captures", "--quiet") == 0
     names = (
         "no rig.yaml",
-        "telewide calibrate boards/",
-        "telewide calibrate captures --from-scenes",
+        "telewide calibrate boards --out captures/rig.yaml",
+        "telewide calibrate captures --from-scenes --out captures/rig.yaml",
         "rectified: true",
     )
     refused(capsys, *words, code=3, names=names)
@@ -142,11 +144,18 @@ def test_unknown_key_in_captures_yaml_names_the_nearest(captures: Path, capsys: 
 
 
 def test_depth_without_a_trained_run_says_how_to_get_one(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names = ("no trained network", "telewide train captures ", "telewide depth captures --method sgm")
+    names = ("no trained network", "telewide train captures\n", "telewide depth captures --method sgm\n")
     refused(capsys, "depth", code=2, names=names)
-    refused(capsys, "depth", "--run", "elsewhere", code=2, names=("telewide train captures --out elsewhere ",))
+    refused(
+        capsys,
+        "depth",
+        "--run",
+        "elsewhere",
+        code=2,
+        names=("telewide train captures --out elsewhere\n", "depth captures --run elsewhere --method sgm"),
+    )
     captures.rename("my pairs")
-    names = ("telewide train 'my pairs' ", "telewide depth 'my pairs' --method sgm")
+    names = ("telewide train 'my pairs'\n", "telewide depth 'my pairs' --method sgm")
     refused(capsys, "depth", "my pairs", code=2, names=names)
 
 
@@ -216,7 +225,72 @@ def test_training_says_how_to_go_on_from_it(
     advised = "next: telewide depth 'my captures' --run 'my run' --rig 'phone rig.yaml' --bokeh"
     assert advised in capsys.readouterr().err.splitlines()
     assert run_cli("train") == 0
-    assert "next: telewide depth --bokeh" in capsys.readouterr().err.splitlines()
+    assert "next: telewide depth captures --bokeh" in capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.parametrize("words", [("train",), ("run", "--recipe", "quick")])
+def test_a_training_of_another_recipe_is_answered_with_the_call_that_starts_over(
+    words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--fresh is an option of train alone; the rest of the call is kept."""
+    few = ("--set", "train.rehearsal.steps=0", "--set", "train.feature.steps=0", "--set", "train.photometric.steps=1")
+    crops = ("--set", "train.crop_hw=[64, 64]", "--set", "train.photometric.captured=1", "--set", "train.stages=0")
+    assert run_cli("train", "--out", "my run", *few, *crops, "--seed", "1", "--quiet") == 0
+    capsys.readouterr()
+    anew = f"start over: telewide train captures --out 'my run'{' --recipe quick' if 'quick' in words else ''} --seed 2"
+    refused(capsys, *words, "--out", "my run", "--seed", "2", code=2, names=("another recipe", f"{anew} --fresh\n"))
+    (Path("my run") / "train" / "training.json").write_text("{")
+    refused(capsys, *words, "--out", "my run", "--seed", "2", code=3, names=("damaged", f"{anew} --fresh\n"))
+    state_file = Path("my run") / "train" / "state.pt"
+    state_file.write_bytes(b"torn")
+    (Path("my run") / "train" / "training.json").unlink()
+    refused(capsys, *words, "--out", "my run", "--seed", "2", code=3, names=("state.pt", f"{anew} --fresh\n"))
+
+
+def layouts(folder: Path, kind: str) -> tuple[Path, str]:
+    """The captures of a folder in another layout, and the name of the first."""
+    for capture in sorted(path for path in folder.iterdir() if path.is_dir()):
+        for view in ("tele", "wide"):
+            photo = next(capture.glob(f"{view}.*"))
+            if kind == "suffix":
+                photo.rename(folder / f"{capture.name}_{photo.name}")
+            elif kind == "views":
+                (folder / view).mkdir(exist_ok=True)
+                photo.rename(folder / view / f"{capture.name}{photo.suffix}")
+    return folder, "000"
+
+
+@pytest.mark.parametrize("kind", ["folders", "suffix", "views"])
+def test_a_distance_can_be_stated_in_every_layout(
+    kind: str, captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command that is advised names one capture, whatever the layout, and gets as far as the missing rig."""
+    folder, name = layouts(captures, kind)
+    words = ("depth", folder.name, "--method", "sgm", "--out", "my depth", "--distance", "5,5,2")
+    one = f"telewide depth captures --method sgm --distance 5,5,2 --out 'my depth' --only {name}\n"
+    refused(capsys, *words, code=2, names=(f"name one: {one}",))
+    refused(capsys, *shlex.split(one)[1:], code=2, names=("--distance needs a rig", "telewide calibrate"))
+    refused(capsys, "run", "captures", "--distance", "5,5,2", code=2, names=(f"telewide depth captures --only {name}",))
+    refused(capsys, "depth", "--only", "00", code=2, names=("no capture 00", "000"))
+    assert run_cli("depth", "--method", "sgm", "--only", "001", "--json") == 0
+    assert [capture["name"] for capture in json.loads(capsys.readouterr().out)["captures"]] == ["001"]
+
+
+def test_what_is_less_than_asked_for_is_said_quietly_too_and_stands_in_the_answer(
+    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from telewide.stages.depth import DepthRun
+
+    def warns(*_: object, observer: ConsoleObserver, **__: object) -> DepthRun:
+        observer.said("worth a line")
+        observer.warned("the rig is marked insufficient")
+        return DepthRun(Path("run/depth"), (), ())
+
+    monkeypatch.setattr("telewide.pipeline.depth_captures", warns)
+    assert run_cli("depth", "--method", "sgm", "--quiet", "--json") == 0
+    told = capsys.readouterr()
+    assert told.err.splitlines() == ["the rig is marked insufficient"]
+    assert json.loads(told.out)["warnings"] == ["the rig is marked insufficient"]
 
 
 def test_our_own_fault_asks_for_a_report(

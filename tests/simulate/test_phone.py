@@ -98,7 +98,9 @@ def test_a_known_distance_takes_the_lens_shift_out(phone: Path, depths: list[dic
     assert np.nanmedian(after["depth_std_m"]) < np.nanmedian(before["depth_std_m"])
 
 
-def test_the_focus_that_exif_states_pins_where_it_is_trusted(phone: Path, depths: list[dict[str, np.ndarray]]) -> None:
+def test_the_focus_that_exif_states_pins_where_it_is_trusted(
+    phone: Path, depths: list[dict[str, np.ndarray]], capsys: pytest.CaptureFixture[str]
+) -> None:
     """A copy of the captures; one states its focus truly, the others nothing."""
     before = depths[0]
     copied = phone / "focused" / "captures"
@@ -112,7 +114,10 @@ def test_the_focus_that_exif_states_pins_where_it_is_trusted(phone: Path, depths
         photo.save(copied / "stated.jpg", quality="keep", exif=exif)
     (copied / "stated.jpg").replace(path)
     words = ["--run", str(phone / "focused" / "run"), "--method", "sgm", "--distance", "exif"]
-    assert app._exit_code(["depth", str(copied), *words]) == 0
+    assert app._exit_code(["depth", str(copied), *words, "--quiet"]) == 0
+    assert "001: EXIF states no distance" in capsys.readouterr().err
+    record = json.loads((phone / "focused" / "run" / "run.json").read_text())
+    assert record["commands"]["depth"]["options"]["trusts_focus"] == ["000"]
     shifts_px = []
     for name, was in zip(("000", "001"), depths, strict=False):
         with np.load(phone / "focused" / "run" / "depth" / name / "depth.npz") as depth:
