@@ -91,6 +91,19 @@ class SceneRun:
 
 
 @dataclass(frozen=True)
+class _Kind:
+    """What captures of one rig have in common.
+
+    Attributes:
+        sizes: of tele's and of wide's photo, upright.
+        orientations: their EXIF orientations: a phone held upside down has its lenses exchanged.
+    """
+
+    sizes: tuple[Hw, Hw]
+    orientations: tuple[int, int]
+
+
+@dataclass(frozen=True)
 class _Matched:
     """Captures of one size with their matches.
 
@@ -171,15 +184,16 @@ def _stated_f35_mm(folder: Path, captures: Sequence[Capture]) -> tuple[float, fl
 
 def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick: Callable[[], None]) -> _Matched:
     """Match all captures of the commonest photo sizes; notes on the others, and on photos that cannot be read."""
-    sizes = {capture.name: size for capture in captures if (size := _sizes(capture)) is not None}
-    if not sizes:
+    kinds = {capture.name: kind for capture in captures if (kind := _kind(capture)) is not None}
+    if not kinds:
         raise InputError(f"none of the {counted(len(captures), 'capture')} has two photos that can be read")
-    common = Counter(sizes.values()).most_common(1)[0][0]
+    most = Counter(kinds.values()).most_common(1)[0][0]
+    common = most.sizes
     rig = first_rig(tele_hw=common[0], wide_hw=common[1], focal=_focal_prior(focal_mm, common))
     alike, scenes, notes = [], [], []
     for capture in captures:
         try:
-            if sizes.get(capture.name, common) != common:
+            if kinds.get(capture.name, most) != most:
                 notes.append(f"left out: {capture.name}: photos of another size or held otherwise")
                 continue
             scene = find_photo_matches(read_image(capture.tele_path), read_image(capture.wide_path), rig=rig)
@@ -195,10 +209,12 @@ def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick
     return _Matched(tuple(alike), tuple(scenes), common, tuple(notes))
 
 
-def _sizes(capture: Capture) -> tuple[Hw, Hw] | None:
-    """Sizes of the two photos; None where one cannot be read."""
+def _kind(capture: Capture) -> _Kind | None:
+    """Sizes of the two photos and how the phone was held; None where one cannot be read."""
     tele, wide = _stated(capture)
-    return None if tele.hw is None or wide.hw is None else (tele.hw, wide.hw)
+    if tele.hw is None or wide.hw is None:
+        return None
+    return _Kind((tele.hw, wide.hw), (tele.orientation, wide.orientation))
 
 
 def _stated(capture: Capture) -> tuple[PhotoFacts, PhotoFacts]:

@@ -155,6 +155,21 @@ def test_a_damaged_photo_leaves_the_other_captures(
     assert "two: 0 matches, too few for a say" in told
 
 
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_captures_held_otherwise_than_most_have_no_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], orientation: int
+) -> None:
+    """On its side, or upside down: there the lenses stand the other way round, in photos of the same size."""
+    for name, held in (("one", 1), ("two", 1), ("three", orientation)):
+        for view, lens in (("tele", TELE), ("wide", WIDE)):
+            exif = exif_of(**lens, orientation=held)  # type: ignore[arg-type]
+            write_photo(tmp_path / name / f"{view}.jpg", wh=(96, 72), exif=exif)
+    assert run_cli("calibrate", str(tmp_path), "--from-scenes") == 3
+    told = capsys.readouterr().err
+    assert "left out: three: photos of another size or held otherwise" in told
+    assert "two: 0 matches" in told
+
+
 def test_photos_made_in_two_ways_have_no_rig(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, model in (("one", "Phone 1"), ("two", "Phone 2")):
         for view, lens in (("tele", TELE), ("wide", WIDE)):
