@@ -1,9 +1,9 @@
-"""What a second, worse camera does to a picture: it moves, blurs, shrinks, adds noise, compresses and tints it.
+"""What a second, worse camera does to a picture: it moves, blurs, darkens, shrinks, adds noise, compresses and tints.
 
-The order is that of a phone: lens (vertical shift, blur), sensor (fewer pixels, noise), storage (JPEG at the sensor's
-own size), colour processing. What remains is enlarged back to the size of the sharp view, as a reader of pairs does.
-Images are (H, W, 3) float32, sRGB, in [0, 1]. All resizing is bicubic (a = -0.5), antialiased when shrinking, and obeys
-the half-pixel rule ``x' = (x + 0.5) s - 0.5`` with s the exact ratio of the two sizes.
+The order is that of a phone: lens (vertical shift, blur, dark corners), sensor (fewer pixels, noise), storage (JPEG at
+the sensor's own size), colour processing. What remains is enlarged back to the size of the sharp view, as a reader of
+pairs does. Images are (H, W, 3) float32, sRGB, in [0, 1]. All resizing is bicubic (a = -0.5), antialiased when
+shrinking, and obeys the half-pixel rule ``x' = (x + 0.5) s - 0.5`` with s the exact ratio of the two sizes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import numpy as np
 
 from telewide.capture.images import resize_bicubic
 from telewide.geometry.arrays import FloatImage
+from telewide.simulate.sensor import rows_and_columns, vignetting_at
+from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 _BLUR_REACH = 2.6
 """Radius of the blur kernel in standard deviations."""
@@ -29,6 +31,7 @@ class Degradation:
         factor: how many times fewer pixels along each axis, >= 1.
         blur_sigma_px: standard deviations of the Gaussian blur along its major and its minor axis, px before shrinking.
         blur_angle_rad: direction of the major axis, from x towards y.
+        vignetting: share of the light that the corners lose, in [0, 1); the cos^4 law of `sensor`.
         jpeg_quality: 1 to 100, or None for no compression.
         noise_std: standard deviation of the white noise of the shrunken image.
         gain: factor of each of the channels R, G, B.
@@ -41,6 +44,7 @@ class Degradation:
     factor: float = 1.0
     blur_sigma_px: tuple[float, float] = (0.0, 0.0)
     blur_angle_rad: float = 0.0
+    vignetting: float = 0.0
     jpeg_quality: int | None = None
     noise_std: float = 0.0
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -59,6 +63,8 @@ class Degradation:
             raise ValueError(f"factor is {self.factor}, expected a number >= 1")
         if min(self.blur_sigma_px) < 0 or self.noise_std < 0:
             raise ValueError(f"blur_sigma_px {self.blur_sigma_px} and noise_std {self.noise_std} must not be negative")
+        if not 0 <= self.vignetting < 1:
+            raise ValueError(f"vignetting is {self.vignetting}, expected a share in [0, 1)")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality is {self.jpeg_quality}, expected 1 to 100 or None")
 
@@ -91,7 +97,8 @@ def degrade_small(image: FloatImage, degradation: Degradation, *, rng: np.random
     """
     moved = _move_vertically(image, offset_px=degradation.vertical_offset_px, slope=degradation.vertical_slope)
     blurred = _blur(moved, sigma_px=degradation.blur_sigma_px, angle_rad=degradation.blur_angle_rad)
-    small = resize_bicubic(blurred, wh=_shrunken_wh(image, factor=degradation.factor))
+    lit = _darken_corners(blurred, vignetting=degradation.vignetting)
+    small = resize_bicubic(lit, wh=_shrunken_wh(image, factor=degradation.factor))
     if degradation.noise_std > 0:
         noise = rng.standard_normal(small.shape, dtype=np.float32)
         small = _clipped(small + np.float32(degradation.noise_std) * noise)
@@ -201,6 +208,14 @@ def _blur(image: FloatImage, *, sigma_px: tuple[float, float], angle_rad: float)
     kernel = np.exp(-0.5 * ((along / max(major, 0.1)) ** 2 + (across / max(minor, 0.1)) ** 2))
     kernel = (kernel / kernel.sum()).astype(np.float32)
     return np.asarray(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float32)
+
+
+def _darken_corners(image: FloatImage, *, vignetting: float) -> FloatImage:
+    if vignetting == 0:
+        return image
+    hw = (image.shape[0], image.shape[1])
+    passed = vignetting_at(vignetting, rows_and_columns(hw), hw=hw).astype(np.float32)
+    return srgb_from_linear(linear_from_srgb(image) * passed[..., None])
 
 
 def _through_jpeg(image: FloatImage, *, quality: int) -> FloatImage:

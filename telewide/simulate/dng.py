@@ -186,7 +186,7 @@ def _dng_entries(frame: RawFrame, facts: ExifFacts, *, offset: int) -> list[tupl
 def _shading(sensor: Sensor, *, hw: tuple[int, int]) -> bytes:
     """OpcodeList2 that takes the lens's darkening out of every colour."""
     rows, columns = (np.linspace(0, size, n) - 0.5 for size, n in zip(hw, _GAIN_POINTS_VU, strict=True))
-    passed = vignetting_at(sensor, (rows[:, None], columns[None]), hw=hw)
+    passed = vignetting_at(sensor.vignetting, (rows[:, None], columns[None]), hw=hw)
     return opcode_list(gain_map((1 / passed)[..., None].astype(np.float32), area=(0, 0, *hw)))
 
 

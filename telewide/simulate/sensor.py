@@ -155,7 +155,7 @@ def expose(light: FloatImage, sensor: Sensor, *, rng: np.random.Generator) -> Ra
         seen = np.asarray(cv2.GaussianBlur(light, (0, 0), sensor.blur_px, borderType=cv2.BORDER_REFLECT_101))
     mosaic = _mosaic(np.asarray(seen @ sensor.colour_matrix.T.astype(np.float32)), sensor.pattern)
     hw = (light.shape[0], light.shape[1])
-    signal = np.maximum(mosaic, 0) * vignetting_at(sensor, _rows_columns(hw), hw=hw) * sensor.exposure
+    signal = np.maximum(mosaic, 0) * vignetting_at(sensor.vignetting, rows_and_columns(hw), hw=hw) * sensor.exposure
     # Far beyond the white level no more electrons need be drawn: the count is the same.
     electrons = rng.poisson(np.minimum(signal, 4.0) * sensor.full_well_e) + rng.normal(0, sensor.read_noise_e, hw)
     counts = sensor.black_level + electrons * ((sensor.white_level - sensor.black_level) / sensor.full_well_e)
@@ -175,7 +175,7 @@ def developed(frame: RawFrame) -> FloatImage:
     """
     sensor, hw = frame.sensor, (frame.bayer.shape[0], frame.bayer.shape[1])
     linear = (frame.bayer.astype(np.float32) - sensor.black_level) / (sensor.white_level - sensor.black_level)
-    linear *= vignetting_at(sensor, _rows_columns(hw), hw=hw).astype(np.float32) ** -SHADING_UNDONE
+    linear *= vignetting_at(sensor.vignetting, rows_and_columns(hw), hw=hw).astype(np.float32) ** -SHADING_UNDONE
     linear /= _mosaic(np.broadcast_to(np.asarray(sensor.neutral, np.float32), (*hw, 3)), sensor.pattern)
     levels = (np.clip(linear, -_PEDESTAL, 1) + _PEDESTAL) * (_FULL_SCALE / (1 + _PEDESTAL))
     coloured = cv2.cvtColor(np.rint(levels).astype(np.uint16), _DEMOSAICING[sensor.pattern])
@@ -184,24 +184,25 @@ def developed(frame: RawFrame) -> FloatImage:
     return srgb_from_linear(np.clip(linear_srgb, 0, 1))
 
 
-def vignetting_at(sensor: Sensor, rows_columns: tuple[FloatArray, FloatArray], *, hw: tuple[int, int]) -> FloatArray:
+def vignetting_at(lost_share: float, rows_columns: tuple[FloatArray, FloatArray], *, hw: tuple[int, int]) -> FloatArray:
     """Share of the light that the lens lets through.
 
     Args:
-        sensor: whose lens.
+        lost_share: of the light in the corners, in [0, 1).
         rows_columns: places, px; arrays that broadcast.
         hw: height and width of the photo.
 
     Returns:
-        In (0, 1], 1 at the middle of the photo and ``1 - vignetting`` at the centres of its corner pixels.
+        In (0, 1], 1 at the middle of the photo and ``1 - lost_share`` at the centres of its corner pixels.
     """
     middle = np.array([hw[0] - 1, hw[1] - 1]) / 2
     r2 = ((rows_columns[0] - middle[0]) ** 2 + (rows_columns[1] - middle[1]) ** 2) / max(float(middle @ middle), 0.5)
-    t2 = (1 - sensor.vignetting) ** -0.5 - 1
+    t2 = (1 - lost_share) ** -0.5 - 1
     return np.asarray(1 / (1 + r2 * t2) ** 2)
 
 
-def _rows_columns(hw: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+def rows_and_columns(hw: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    """Places of all pixels, (H, 1) rows and (1, W) columns, for `vignetting_at`."""
     return np.arange(hw[0], dtype=np.float64)[:, None], np.arange(hw[1], dtype=np.float64)[None]
 
 

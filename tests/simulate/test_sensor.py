@@ -82,7 +82,7 @@ def test_one_seed_one_photo() -> None:
 def test_corners_darken_by_the_fourth_power_of_the_cosine() -> None:
     sensor = Sensor(vignetting=0.4)
     rows, columns = np.arange(HW[0])[:, None], np.arange(HW[1])[None]
-    passed = vignetting_at(sensor, (rows, columns), hw=HW)
+    passed = vignetting_at(sensor.vignetting, (rows, columns), hw=HW)
     assert passed[0, 0] == pytest.approx(0.6)
     radius = np.hypot(rows - (HW[0] - 1) / 2, columns - (HW[1] - 1) / 2)
     f_px = radius[0, 0] / np.tan(np.arccos(0.6**0.25))
