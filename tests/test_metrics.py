@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from telewide.metrics import end_point_error_px, three_pixel_error
+from telewide.metrics import bad_pixel_share, density, end_point_error_px, psnr_db, three_pixel_error
 
 
 def test_end_point_error_is_the_mean_of_known_pixels() -> None:
@@ -39,3 +40,25 @@ def test_bad_input() -> None:
         three_pixel_error(known, np.full_like(known, np.nan))
     with pytest.raises(ValueError, match="mask must be bool"):
         three_pixel_error(known, known, mask=known)  # type: ignore[arg-type]
+
+
+def test_bad_pixels_and_density() -> None:
+    truth = np.array([[10, 10, 10, 10, np.nan]], np.float32)
+    estimate = np.array([[11, 11.5, 12.5, np.nan, 0]], np.float32)
+    assert bad_pixel_share(estimate, truth, threshold_px=1) == pytest.approx(3 / 4)
+    assert bad_pixel_share(estimate, truth, threshold_px=2) == pytest.approx(2 / 4)
+    assert density(estimate, truth) == pytest.approx(3 / 4)
+
+
+def test_psnr(rng: np.random.Generator) -> None:
+    picture = rng.random((6, 7, 3), dtype=np.float32)
+    assert psnr_db(picture + np.float32(0.1), picture) == pytest.approx(20, abs=1e-3)
+    noisy = np.clip(picture + rng.normal(0, 0.05, picture.shape), 0, 1).astype(np.float32)
+    assert psnr_db(noisy, picture) == pytest.approx(cv2.PSNR(noisy, picture, 1.0), abs=1e-3)
+    assert psnr_db(picture, picture) == np.inf
+    mask = np.zeros((6, 7), np.bool_)
+    mask[0] = True
+    noisy[1:] = 0
+    assert psnr_db(noisy, picture, mask=mask) == pytest.approx(cv2.PSNR(noisy[:1], picture[:1], 1.0), abs=1e-3)
+    with pytest.raises(ValueError, match="no pixel counts"):
+        psnr_db(picture, picture, mask=np.zeros((6, 7), np.bool_))
