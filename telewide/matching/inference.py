@@ -19,7 +19,7 @@ from torch.nn import functional
 from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
-from telewide.matching.networks import SIZE_MULTIPLE_PX, NetworkOutput, StereoNetwork, standardise
+from telewide.matching.networks import SIZE_MULTIPLE_PX, NetworkOutput, StereoNetwork, prepare_view
 from telewide.matching.sampling import pad_to_multiple, warp_to_ref
 from telewide.matching.volume import expect_disparity_at_mode, peak_share, shear_to_src
 from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
@@ -113,7 +113,7 @@ def match_with_volume(
     network.eval()
     device = next(network.parameters()).device
     # Over the whole image, so that a tile is seen with the brightness the image has.
-    ref_BCHW, src_BCHW = (standardise(_tensor_from_image(view).to(device)) for view in (ref, src))
+    ref_BCHW, src_BCHW = (prepare_view(network.features, _tensor_from_image(view).to(device)) for view in (ref, src))
     disparity_px = np.empty(ref.shape[:2], np.float32)
     confidence, agrees = np.empty_like(disparity_px), np.empty(ref.shape[:2], np.bool_)
     height, width = (-(-size // VOLUME_STEP_PX) for size in ref.shape[:2])

@@ -8,20 +8,35 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
 from telewide.errors import UsageError
 from telewide.matching.guided import GuidedFeatures, GuidedMatching
+from telewide.matching.iresnet import IresnetFeatures, IresnetMatching, initialise_iresnet
 from telewide.matching.lite import LiteFeatures, LiteMatching
 from telewide.matching.psmnet import PsmnetFeatures, PsmnetMatching, initialise_psmnet
+from telewide.matching.psmnet_full import (
+    PsmnetFullFeatures,
+    PsmnetFullMatching,
+    PublishedPsmnetFeatures,
+    load_published_psmnet,
+)
 from telewide.matching.window import Window
 
 SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
 WIDEST_CONTEXT_PX = 320
 """Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
+PSMNET_CONTEXT_PX = 768
+"""Of psmnet: 46 convolutions at 1/4, cells of 256 px and three hourglasses."""
+IRESNET_CONTEXT_PX = 512
+"""Of both: seven levels of convolutions, the deepest of them over cells of 64 px, and their correlation."""
+COMPACT_DIVISOR = 8
+"""Widths of iresnet over those of iresnet-s, which is then as large as psmnet-s."""
 LITE_CONTEXT_PX = 128
 """Trained on phones' photos: at this overlap no pixel differs by 0.01 px from the whole image, at 64 px one in 700."""
 
@@ -85,6 +100,21 @@ def standardise(image_BCHW: Tensor) -> Tensor:
     return centred / (deviation + 0.02)
 
 
+def prepare_view(features: nn.Module, image_BCHW: Tensor) -> Tensor:
+    """Bring a view (B, 3, H, W) in [0, 1] to what a Phi_F expects: its own ``prepare``, or :func:`standardise`."""
+    prepare = cast(Callable[[Tensor], Tensor], getattr(features, "prepare", standardise))
+    return prepare(image_BCHW)
+
+
+def comparable_map(features: nn.Module, prepared_BCHW: Tensor) -> Tensor:
+    """The map of a Phi_F in which two prepared views (B, 3, H, W) are compared: (B, C, h, w).
+
+    It is the first, unless the module names another by its ``feature_space``.
+    """
+    maps: tuple[Tensor, ...] = features(prepared_BCHW)
+    return maps[cast(int, getattr(features, "feature_space", 0))]
+
+
 def _build_lite() -> StereoNetwork:
     return StereoNetwork(LiteFeatures(), LiteMatching(), context_px=LITE_CONTEXT_PX)
 
@@ -95,9 +125,40 @@ def _build_psmnet_s() -> StereoNetwork:
     return network
 
 
+def _build_psmnet() -> StereoNetwork:
+    network = StereoNetwork(PsmnetFullFeatures(), PsmnetFullMatching(), context_px=PSMNET_CONTEXT_PX)
+    initialise_psmnet(network)
+    return network
+
+
+def _build_iresnet(divisor: int) -> StereoNetwork:
+    parts = IresnetFeatures(divisor=divisor), IresnetMatching(divisor=divisor)
+    network = StereoNetwork(*parts, context_px=IRESNET_CONTEXT_PX)
+    initialise_iresnet(network)
+    return network
+
+
+def published_psmnet(path: Path) -> StereoNetwork:
+    """PSMNet with the weights of a checkpoint of its authors, prepared, enlarged and read as they did.
+
+    Args:
+        path: their ``.tar``, or the same tensors as safetensors.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is damaged, or holds something else.
+    """
+    features, matching = PublishedPsmnetFeatures(), PsmnetFullMatching(is_published=True)
+    load_published_psmnet(features, matching, path)
+    return StereoNetwork(features, matching, context_px=PSMNET_CONTEXT_PX).eval()
+
+
 NETWORKS: dict[str, Callable[[], StereoNetwork]] = {
     "guided": lambda: StereoNetwork(GuidedFeatures(), GuidedMatching()),
+    "iresnet": lambda: _build_iresnet(1),
+    "iresnet-s": lambda: _build_iresnet(COMPACT_DIVISOR),
     "lite": _build_lite,
+    "psmnet": _build_psmnet,
     "psmnet-s": _build_psmnet_s,
 }
 

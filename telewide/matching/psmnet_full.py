@@ -1,0 +1,258 @@
+"""`psmnet`: the pyramid stereo matching network in the layout and with the parameter names of its authors' code.
+
+Structure: Chang and Chen, *Pyramid Stereo Matching Network*, 2018: widths 32/32/64/128/128, blocks 3/16/3/3, spatial
+pooling over 64, 32, 16 and 8 cells, 32 feature channels, three stacked hourglasses; 5.2 M parameters. The names below
+``features`` and ``matching`` are the authors', so that their checkpoints load (:func:`load_published_psmnet`).
+Letters: B batch, C channels, D planes, H W grid at hand.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from telewide.matching.batch_norm import BatchNorm2d, BatchNorm3d
+from telewide.matching.conv3d import Conv3d
+from telewide.matching.foreign_weights import load_tensors, read_tensors
+from telewide.matching.sampling import at_least_float32
+from telewide.matching.volume import concatenate_views, shifted_views
+from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
+
+FEATURE_CHANNELS = 32
+VOLUME_CHANNELS = 32
+POOL_CELLS = (64, 32, 16, 8)
+HALVED_PLANES = 4
+"""Each hourglass halves the volume twice."""
+PUBLISHED_WINDOW: Window = (0, 192)
+"""Disparities that the authors' checkpoints were trained for, px."""
+IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+FEATURES_PREFIX = "feature_extraction."
+"""Of the authors' names of Phi_F; all other names are of Phi_M."""
+
+
+def _conv2d(c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    padding = dilation * (kernel // 2)
+    return nn.Sequential(
+        nn.Conv2d(c_in, c_out, kernel, stride=stride, padding=padding, dilation=dilation, bias=False),
+        BatchNorm2d(c_out),
+    )
+
+
+def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(Conv3d(c_in, c_out, stride=stride, bias=False), BatchNorm3d(c_out))
+
+
+def _deconv3d(c_in: int, c_out: int) -> nn.Sequential:
+    layer = nn.ConvTranspose3d(c_in, c_out, 3, stride=2, padding=1, output_padding=1, bias=False)
+    return nn.Sequential(layer, BatchNorm3d(c_out))
+
+
+class _Block(nn.Module):
+    """Residual block without a last ReLU."""
+
+    def __init__(self, c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Sequential(_conv2d(c_in, c_out, stride=stride, dilation=dilation), nn.ReLU())
+        self.conv2 = _conv2d(c_out, c_out, dilation=dilation)
+        is_same = stride == 1 and c_in == c_out
+        self.downsample = None if is_same else _conv2d(c_in, c_out, kernel=1, stride=stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        residual: Tensor = self.conv2(self.conv1(x))
+        return residual + (x if self.downsample is None else self.downsample(x))
+
+
+def _blocks(c_in: int, c_out: int, count: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    first = _Block(c_in, c_out, stride=stride, dilation=dilation)
+    return nn.Sequential(first, *(_Block(c_out, c_out, dilation=dilation) for _ in range(count - 1)))
+
+
+class _Pool(nn.Module):
+    """Means over cells, what is left at the right and bottom apart; a view smaller than a cell is one cell."""
+
+    def __init__(self, cells: int) -> None:
+        super().__init__()
+        self.cells = cells
+
+    def forward(self, x: Tensor) -> Tensor:
+        height, width = x.shape[-2:]
+        return functional.avg_pool2d(x, (min(self.cells, height), min(self.cells, width)))
+
+
+class PsmnetFullFeatures(nn.Module):
+    """Phi_F: a view to (features at 1/4,).
+
+    Args:
+        is_published: prepare and enlarge as the authors' checkpoints were trained with.
+    """
+
+    def __init__(self, *, is_published: bool = False) -> None:
+        super().__init__()
+        self.is_published = is_published
+        self.firstconv = nn.Sequential(
+            _conv2d(3, 32, stride=2), nn.ReLU(), _conv2d(32, 32), nn.ReLU(), _conv2d(32, 32), nn.ReLU()
+        )
+        self.layer1 = _blocks(32, 32, 3)
+        self.layer2 = _blocks(32, 64, 16, stride=2)
+        self.layer3 = _blocks(64, 128, 3)
+        self.layer4 = _blocks(128, 128, 3, dilation=2)
+        for number, cells in enumerate(POOL_CELLS, start=1):
+            branch = nn.Sequential(_Pool(cells), _conv2d(128, 32, kernel=1), nn.ReLU())
+            self.add_module(f"branch{number}", branch)
+        self.lastconv = nn.Sequential(_conv2d(320, 128), nn.ReLU(), nn.Conv2d(128, FEATURE_CHANNELS, 1, bias=False))
+
+    def forward(self, image_BCHW: Tensor) -> tuple[Tensor]:
+        """(B, 3, H, W) to ((B, 32, H/4, W/4),)."""
+        quarter = self.layer2(self.layer1(self.firstconv(image_BCHW)))
+        deep = self.layer4(self.layer3(quarter))
+        pooled = [
+            _enlarge(self.get_submodule(f"branch{number}")(deep), deep.shape[-2:], is_published=self.is_published)
+            for number in range(len(POOL_CELLS), 0, -1)
+        ]
+        return (self.lastconv(torch.cat((quarter, deep, *pooled), dim=1)),)
+
+
+class PublishedPsmnetFeatures(PsmnetFullFeatures):
+    """Phi_F for the authors' checkpoints."""
+
+    def __init__(self) -> None:
+        super().__init__(is_published=True)
+
+    def prepare(self, image_BCHW: Tensor) -> Tensor:
+        """Shift and scale by the mean and deviation of ImageNet."""
+        mean, deviation = (image_BCHW.new_tensor(t)[:, None, None] for t in (IMAGENET_MEAN, IMAGENET_DEVIATION))
+        return (image_BCHW - mean) / deviation
+
+
+class _Hourglass(nn.Module):
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        wide = 2 * channels
+        self.conv1 = nn.Sequential(_conv3d(channels, wide, stride=2), nn.ReLU())
+        self.conv2 = _conv3d(wide, wide)
+        self.conv3 = nn.Sequential(_conv3d(wide, wide, stride=2), nn.ReLU())
+        self.conv4 = nn.Sequential(_conv3d(wide, wide), nn.ReLU())
+        self.conv5 = _deconv3d(wide, wide)
+        self.conv6 = _deconv3d(wide, channels)
+
+    def forward(self, x: Tensor, down: Tensor | None, up: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """The volume, and its halves on the way down and up; those of earlier hourglasses are added to them."""
+        half = self.conv2(self.conv1(x))
+        half = functional.relu(half if up is None else half + up)
+        quarter = self.conv4(self.conv3(half))
+        added = half if down is None else down
+        risen = functional.relu(_crop_like(self.conv5(quarter), added) + added)
+        return _crop_like(self.conv6(risen), x), half, risen
+
+
+def _crop_like(x: Tensor, like: Tensor) -> Tensor:
+    """Drop what a doubled odd side has too much."""
+    depth, height, width = like.shape[2:]
+    return x[:, :, :depth, :height, :width]
+
+
+def _classifier(channels: int) -> nn.Sequential:
+    return nn.Sequential(_conv3d(channels, channels), nn.ReLU(), Conv3d(channels, 1, bias=False))
+
+
+class PsmnetFullMatching(nn.Module):
+    """Phi_M: features of both views to the disparities of ref.
+
+    Args:
+        is_published: enlarge the volume as the authors' checkpoints were trained with.
+    """
+
+    def __init__(self, *, is_published: bool = False) -> None:
+        super().__init__()
+        self.is_published = is_published
+        c = VOLUME_CHANNELS
+        self.dres0 = nn.Sequential(_conv3d(2 * FEATURE_CHANNELS, c), nn.ReLU(), _conv3d(c, c), nn.ReLU())
+        self.dres1 = nn.Sequential(_conv3d(c, c), nn.ReLU(), _conv3d(c, c))
+        self.dres2, self.dres3, self.dres4 = (_Hourglass(c) for _ in range(3))
+        self.classif1, self.classif2, self.classif3 = (_classifier(c) for _ in range(3))
+
+    def forward(self, ref: tuple[Tensor], src: tuple[Tensor], window: Window) -> tuple[list[Tensor], Tensor]:
+        """Disparities (B, H, W), px, one a hourglass in training, else the last; and the volume (B, D, H/4, W/4)."""
+        whole = widened_window(window, planes=HALVED_PLANES)
+        volume = _visible_volume(ref[0], src[0], whole).contiguous(memory_format=torch.channels_last_3d)
+        start = self.dres0(volume)
+        start = start + self.dres1(start)
+        first, down, up = self.dres2(start, None, None)
+        second, _, second_up = self.dres3(first + start, down, up)
+        third, _, _ = self.dres4(second + start, down, second_up)
+        costs = [self.classif1(first + start)]
+        costs.append(self.classif2(second + start) + costs[-1])
+        costs.append(self.classif3(third + start) + costs[-1])
+        logits = [at_least_float32(cost)[:, :, planes_of(window, within=whole)] for cost in costs]
+        read = logits if self.training else logits[-1:]
+        return [_expect(x, window, is_published=self.is_published) for x in read], logits[-1][:, 0]
+
+
+def _visible_volume(ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> Tensor:
+    """Both views' features at every plane, ref's too only where src is seen, as published."""
+    seen = torch.stack(shifted_views(torch.ones_like(src_BCHW[:, :1]), window), dim=2)
+    return concatenate_views(ref_BCHW, src_BCHW, window=window) * seen
+
+
+def _expect(logits_B1DHW: Tensor, window: Window, *, is_published: bool) -> Tensor:
+    """Enlarge to one level a pixel, softmax, expectation (PSMNet, section 3.5).
+
+    With half-pixel centres level j stands for ``d_min + j - (step - 1) / 2``. The authors' checkpoints come from a time
+    when torch aligned corners and called level j of D j px: plane k then stands for ``step k (D - 1) / (D - step)``.
+    """
+    planes, height, width = logits_B1DHW.shape[2:]
+    size = (planes * VOLUME_STEP_PX, height * VOLUME_STEP_PX, width * VOLUME_STEP_PX)
+    full = _enlarge(logits_B1DHW, size, is_published=is_published)
+    levels_px = torch.arange(size[0], dtype=full.dtype, device=full.device)
+    if is_published:
+        end_px = PUBLISHED_WINDOW[1]
+        stretch = (end_px - 1) / (end_px - VOLUME_STEP_PX)
+        within = levels_px / max(1, size[0] - 1) * (size[0] - VOLUME_STEP_PX)
+        levels_px = (window[0] + within) * stretch
+    else:
+        levels_px = window[0] + levels_px - (VOLUME_STEP_PX - 1) / 2
+    return (full[:, 0].softmax(dim=1) * levels_px[:, None, None]).sum(dim=1)
+
+
+def _enlarge(x: Tensor, size: tuple[int, ...], *, is_published: bool) -> Tensor:
+    """Linear along every axis behind the channels."""
+    if not is_published:
+        mode = "bilinear" if len(size) == 2 else "trilinear"
+        return functional.interpolate(x, size=size, mode=mode, align_corners=False)
+    for axis, length in enumerate(size, start=2):
+        x = _stretch(x, axis, length)
+    return x
+
+
+def _stretch(x: Tensor, axis: int, length: int) -> Tensor:
+    """Linear along one axis, first and last samples on one another."""
+    position = torch.linspace(0, x.shape[axis] - 1, length, device=x.device, dtype=torch.float64)
+    first = position.floor().long().clamp(max=max(0, x.shape[axis] - 2))
+    share = (position - first).to(x.dtype).view(-1, *(1,) * (x.ndim - axis - 1))
+    near, far = (x.index_select(axis, index.clamp(max=x.shape[axis] - 1)) for index in (first, first + 1))
+    return torch.lerp(near, far, share.expand_as(near))
+
+
+def load_published_psmnet(features: nn.Module, matching: nn.Module, path: Path) -> None:
+    """Fill both parts from a checkpoint of the authors' code.
+
+    Args:
+        features: Phi_F of this module.
+        matching: Phi_M of this module.
+        path: a ``.tar`` of their training, or the same tensors as safetensors; nothing in it is executed.
+
+    Raises:
+        InputError: the file is damaged, or its names or shapes are not those of PSMNet.
+    """
+    tensors = read_tensors(path)
+    own = {key.removeprefix(FEATURES_PREFIX): value for key, value in tensors.items() if _is_of_features(key)}
+    rest = {key: value for key, value in tensors.items() if not _is_of_features(key)}
+    load_tensors(features, own, path=path, what="the features of PSMNet", prefix=FEATURES_PREFIX)
+    load_tensors(matching, rest, path=path, what="the matching of PSMNet")
+
+
+def _is_of_features(key: str) -> bool:
+    return key.startswith(FEATURES_PREFIX)

@@ -1,0 +1,170 @@
+"""`iresnet` against a re-computation of its layers, the widths of its authors' code, windows, and its volume."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from plain_layers import Weights, conv, stir
+from torch import Tensor, nn
+from torch.nn import functional
+
+from telewide.matching.iresnet import IresnetFeatures, IresnetMatching, search_centre_px
+from telewide.matching.networks import StereoNetwork, build_network, comparable_map
+
+# name: c_in, c_out, side of every layer of the authors' deploy file, as facts ("d" before a transposed one). The layers
+# of the decoder, which the file numbers by the level they come from, are listed from the deepest.
+PUBLISHED = """
+conv1 3 64 7 | conv2 64 128 5 | conv_redir 128 64 1 | conv3 145 256 5 | conv3_1 256 256 3 | conv4 256 512 3
+conv4_1 512 512 3 | conv5 512 512 3 | conv5_1 512 512 3 | conv6 512 1024 3 | conv6_1 1024 1024 3
+predict_flow6 1024 1 3
+up_conv1ab d64 32 4 | up_conv2ab d128 32 8 | up_conv1a2a 64 32 1 | conv1_mini 64 16 3
+zoom_conv0 65 32 3 | zoom_conv1 32 64 3 | zoom_conv1b 105 64 3 | zoom_conv2 64 128 3 | zoom_conv2b 128 128 3
+zoom_predict2 128 1 3 | zoom_deconv2 d128 64 4 | zoom_upsample2 d1 1 4 | zoom_fused1 129 64 3 | zoom_predict1 64 1 3
+zoom_deconv1 d64 32 4 | zoom_upsample1 d1 1 4 | zoom_fused0 65 32 3 | zoom_predict0 32 1 3
+deconv d1024 512 4 | concat 1025 512 3 | predict_flow 512 1 3 | upsample_flow d1 1 4
+deconv d512 256 4 | concat 769 256 3 | predict_flow 256 1 3 | upsample_flow d1 1 4
+deconv d256 128 4 | concat 385 128 3 | predict_flow 128 1 3 | upsample_flow d1 1 4
+deconv d128 64 4 | concat 193 64 3 | predict_flow 64 1 3 | upsample_flow d1 1 4
+deconv d64 32 4 | concat 97 32 3 | predict_flow 32 1 3 | upsample_flow d1 1 4
+deconv d32 32 4 | concat 65 32 3 | predict_flow 32 1 3 | upsample_flow d1 1 4
+"""
+
+
+def test_layers_are_the_published_ones() -> None:
+    stated = sorted(tuple(row.split()) for row in PUBLISHED.replace("\n", "|").split("|") if row.strip())
+    built = []
+    for name, layer in build_network("iresnet").named_modules():
+        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+            mark = "d" if isinstance(layer, nn.ConvTranspose2d) else ""
+            row = (f"{mark}{layer.in_channels}", str(layer.out_channels), str(layer.kernel_size[0]))
+            built.append((name.rpartition(".")[2], *row))
+            assert layer.bias is not None
+    assert sorted(built) == stated
+
+
+def test_the_compact_one_is_as_large_as_psmnet_s() -> None:
+    compact, psmnet_s = (sum(p.numel() for p in build_network(n).parameters()) for n in ("iresnet-s", "psmnet-s"))
+    assert 0.9 < compact / psmnet_s < 1.1
+
+
+def up(w: Weights, name: str, x: Tensor, like: Tensor, *, factor: int = 2) -> Tensor:
+    risen = functional.conv_transpose2d(x, w[f"{name}.weight"], w[f"{name}.bias"], stride=factor, padding=factor // 2)
+    return risen[..., : like.shape[2], : like.shape[3]]
+
+
+def leaky(x: Tensor) -> Tensor:
+    return torch.where(x > 0, x, 0.1 * x)
+
+
+def rows(a: Tensor, b: Tensor, reach: int) -> Tensor:
+    """Mean product at every displacement, pixel by pixel."""
+    result = torch.zeros(a.shape[0], 2 * reach + 1, *a.shape[2:], dtype=a.dtype)
+    for index, k in enumerate(range(-reach, reach + 1)):
+        for x in range(a.shape[3]):
+            if 0 <= x + k < a.shape[3]:
+                result[:, index, :, x] = (a[..., x] * b[..., x + k]).mean(dim=1)
+    return result
+
+
+def plain_features(w: Weights, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    half = leaky(conv(w, "conv1", x, stride=2))
+    quarter = leaky(conv(w, "conv2", half, stride=2))
+    joined = torch.cat((leaky(up(w, "up_conv1ab", half, x)), leaky(up(w, "up_conv2ab", quarter, x, factor=4))), 1)
+    return quarter, half, leaky(conv(w, "up_conv1a2a", joined))
+
+
+def plain_matching(w: Weights, a: tuple[Tensor, ...], b: tuple[Tensor, ...], *, limits: tuple[int, int]) -> Tensor:
+    x = torch.cat((rows(a[0], b[0], 40), leaky(conv(w, "conv_redir", a[0]))), 1)
+    levels = []
+    for level in (3, 4, 5, 6):
+        x = leaky(conv(w, f"conv{level}_1", leaky(conv(w, f"conv{level}", x, stride=2))))
+        levels.append(x)
+    flow = conv(w, "predict_flow6", x)
+    for index, skip in enumerate((levels[2], levels[1], levels[0], *a)):
+        name = f"ups.{index}"
+        risen = leaky(up(w, f"{name}.deconv", x, skip))
+        x = conv(w, f"{name}.concat", torch.cat((skip, risen, up(w, f"{name}.upsample_flow", flow, skip)), 1))
+        flow = conv(w, f"{name}.predict_flow", x)
+    correlation = rows(leaky(conv(w, "conv1_mini", a[1])), leaky(conv(w, "conv1_mini", b[1])), 20)
+    w = {name.removeprefix("refinement."): value for name, value in w.items()}
+    for _ in range(2):
+        flow = (flow + plain_residual(w, a[2], b[2], flow, correlation)).clamp(*limits)
+    return flow[:, 0]
+
+
+def plain_residual(w: Weights, a: Tensor, b: Tensor, flow: Tensor, correlation: Tensor) -> Tensor:
+    height, width = a.shape[2:]
+    x = torch.arange(width, dtype=a.dtype) - flow[:, 0]
+    y = torch.arange(height, dtype=a.dtype)[:, None].expand_as(x)
+    grid = torch.stack(((2 * x + 1) / width - 1, (2 * y + 1) / height - 1), -1)
+    error = (functional.grid_sample(b, grid, align_corners=False) - a).abs()
+    full = leaky(conv(w, "zoom_conv0", torch.cat((a, flow, error), 1)))
+    half = torch.cat((correlation, leaky(conv(w, "zoom_conv1", full, stride=2))), 1)
+    half = leaky(conv(w, "zoom_conv1b", half))
+    quarter = leaky(conv(w, "zoom_conv2b", leaky(conv(w, "zoom_conv2", half, stride=2))))
+    for index, skip in ((2, half), (1, full)):
+        residual = up(w, f"zoom_upsample{index}", conv(w, f"zoom_predict{index}", quarter), skip)
+        risen = leaky(up(w, f"zoom_deconv{index}", quarter, skip))
+        quarter = conv(w, f"zoom_fused{index - 1}", torch.cat((skip, risen, residual), 1))
+    return conv(w, "zoom_predict0", quarter)
+
+
+@pytest.mark.parametrize("divisor", [8, 1])
+def test_outputs_are_those_of_its_layers(divisor: int) -> None:
+    network = StereoNetwork(IresnetFeatures(divisor=divisor), IresnetMatching(divisor=divisor))
+    stir(network)
+    ref, src = torch.randn(2, 1, 3, 48, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    with torch.no_grad():
+        output = network(ref, src, (-32, 32))
+        a, b = (plain_features(network.features.state_dict(), x) for x in (ref, src))
+        expected = plain_matching(network.matching.state_dict(), a, b, limits=(-32, 31))
+    assert expected.std() > 0.5
+    # The grid of a warp is float32 by rule: 1e-7 of the width.
+    assert (output.disparity_px - expected).abs().max() < 1e-5
+    torch.testing.assert_close(comparable_map(network.features, ref), a[2], atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("window", [(0, 32), (-16, 16), (160, 224), (-400, -320)])
+def test_disparities_lie_in_any_window(window: tuple[int, int]) -> None:
+    network = build_network("iresnet-s").eval()
+    with torch.inference_mode():
+        output = network(torch.randn(1, 3, 64, 96), torch.randn(1, 3, 64, 96), window)
+    assert output.logits_BDHW.shape == (1, (window[1] - window[0]) // 4, 16, 24)
+    assert output.disparity_px.min() >= window[0]
+    assert output.disparity_px.max() < window[1]
+
+
+def test_a_window_that_is_reached_is_searched_around_zero_and_a_far_one_around_its_middle() -> None:
+    """A source view moved by 232 px and a window moved as far give the same disparities, plus 232."""
+    assert search_centre_px((0, 164)) == search_centre_px((-160, 0)) == 0
+    assert search_centre_px((200, 264)) == 232
+    matching = build_network("iresnet-s").eval().matching
+    ref, far = (tuple(torch.randn(1, c, 64 // n, 384 // n) for c, n in ((16, 4), (8, 2), (8, 1))) for _ in range(2))
+    cells = [232 // n for n in (4, 2, 1)]
+    far = tuple(functional.pad(m[..., :-n], (0, n)) for m, n in zip(far, cells, strict=True))  # nothing to fall out
+    near = tuple(functional.pad(m[..., :-n], (n, 0)) for m, n in zip(far, cells, strict=True))
+    with torch.no_grad():
+        plain, moved = matching(ref, near, (-32, 32))[0], matching(ref, far, (200, 264))[0]
+    torch.testing.assert_close(moved[-1], plain[-1] + 232, atol=1e-3, rtol=0)
+
+
+def test_the_volume_is_likeliest_at_the_result() -> None:
+    network = build_network("iresnet-s").eval()
+    view = torch.nn.functional.avg_pool2d(torch.randn(1, 3, 66, 98), 3, stride=1)
+    with torch.no_grad():
+        output = network(view, view, (-32, 32))
+    coarse_px = torch.nn.functional.avg_pool2d(output.disparity_px, 4)
+    likeliest_px = -32 + 4 * output.logits_BDHW.argmax(dim=1)
+    assert ((likeliest_px - coarse_px).abs() <= 8).float().mean() > 0.95
+
+
+@pytest.mark.parametrize("name", ["psmnet", "iresnet-s"])
+def test_every_weight_gets_a_gradient(name: str) -> None:
+    network = build_network(name).train()
+    views = torch.randn(2, 1, 3, 64, 128, generator=torch.Generator().manual_seed(1))
+    output = network(*views, (-64, 64))
+    loss = sum(d.square().mean() for d in output.disparities_px) + output.logits_BDHW.square().mean()
+    if name == "iresnet-s":  # nothing but the feature-metric loss and the refinement sees the full size
+        loss = loss + comparable_map(network.features, views[0]).square().mean()
+    torch.autograd.backward(loss)
+    assert [key for key, p in network.named_parameters() if p.grad is None or not p.grad.any()] == []
