@@ -44,6 +44,7 @@ LAYERS = {
     "calibration": 3,
     "correction": 3,
     "matching": 4,
+    "restoration": 4,
     "training": 5,
     "depth": 6,
     "bokeh": 6,
@@ -76,7 +77,7 @@ def own_imports(module: Module) -> Iterator[tuple[str, int]]:
 
 def is_torch_allowed(name: str) -> bool:
     """Whether a module may import torch."""
-    is_in_place = name.split(".")[0] in {"matching", "training"}
+    is_in_place = name.split(".")[0] in {"matching", "restoration", "training"}
     is_in_place |= name in {"stages.train", "stages.box", "benchmark.networks"}
     is_in_place |= name.startswith("simulate.raycast.")
     return is_in_place and name != "matching.semiglobal"
@@ -189,7 +190,7 @@ def test_package_inits_hold_a_docstring_only() -> None:
     assert all_findings(findings) == []
 
 
-def test_torch_only_in_matching_and_training() -> None:
+def test_torch_only_where_networks_are() -> None:
     assert all_findings(torch_findings) == []
     assert torch_findings(module_from_text("def f():\n    import torch.nn", name="bokeh.render")) != []
     assert torch_findings(module_from_text("import torch", name="matching.semiglobal")) != []

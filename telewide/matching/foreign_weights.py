@@ -58,13 +58,12 @@ def _load_plain(path: Path) -> object:
 def _state_dict_in(content: object) -> dict[str, Tensor]:
     if not isinstance(content, Mapping):
         raise TypeError("no mapping of names")
-    for name in WRAPPERS:
-        if isinstance(content.get(name), Mapping):
-            content = content[name]
-            break
-    if not all(isinstance(key, str) for key in content):
+    named: Mapping[object, object] = next(
+        (content[w] for w in WRAPPERS if isinstance(content.get(w), Mapping)), content
+    )
+    if not all(isinstance(key, str) for key in named):
         raise TypeError("names that are no texts")
-    tensors = {key: value for key, value in content.items() if isinstance(value, Tensor)}
+    tensors = {str(key): value for key, value in named.items() if isinstance(value, Tensor)}
     if not tensors:
         raise TypeError("no tensors")
     return tensors

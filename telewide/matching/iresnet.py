@@ -170,7 +170,7 @@ class IresnetMatching(nn.Module):
         level4 = _leaky(self.conv4_1(_leaky(self.conv4(level3))))
         level5 = _leaky(self.conv5_1(_leaky(self.conv5(level4))))
         deep = _leaky(self.conv6_1(_leaky(self.conv6(level5))))
-        disparity = self.predict_flow6(deep)
+        disparity: Tensor = self.predict_flow6(deep)
         for up, skip in zip(self.ups, (level5, level4, level3, *ref), strict=True):
             deep, disparity = up(deep, disparity, skip)
         return disparity
