@@ -49,6 +49,7 @@ mutants: $(STAMP)
 # Strangers' files by the thousand, and links and pipes around a run folder: no traceback, no hang, nothing else touched.
 soak: $(STAMP)
 	TELEWIDE_MUTATIONS=2000 $(BIN)/python -m pytest -o faulthandler_timeout=0 tests/test_fuzz.py tests/test_canary.py
+	$(BIN)/python tests/soak.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -79,6 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     notes = logging.StreamHandler(sys.stderr)
     notes.setFormatter(VisibleFormatter("note: %(message)s"))
+    notes.addFilter(logging.Filter("telewide"))  # remarks of the decoders on odd files are no help to anybody
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     logging.basicConfig(level=logging.WARNING, handlers=[notes])
     if this_process().world > 1:  # torchrun ends its processes together, and waits for none
         sys.exit(_exit_code(arguments))
