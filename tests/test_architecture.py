@@ -58,6 +58,7 @@ LAYERS = {
     "__main__": 8,
 }
 MAX_POSITIONAL = 3
+MAX_UNNAMED = 4
 MAX_LINES = 50
 HEAVY = ("torch", "cv2", "scipy", "pydantic", "colour", "rawpy")
 
@@ -252,6 +253,24 @@ def test_options_are_keyword_only() -> None:
     assert keyword_only_findings(module_from_text("def f(a, b=1): ...")) != []
     assert keyword_only_findings(module_from_text("def f(a, b, c, d): ...")) != []
     assert keyword_only_findings(module_from_text("class A:\n    def f(self, a, b, c, *, d=1): ...")) == []
+
+
+def test_calls_name_what_they_hand_over() -> None:
+    def findings(module: Module) -> list[str]:
+        own = {n.name for n in module.tree.body if isinstance(n, FunctionNode | ast.ClassDef)}
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("telewide."):
+                own |= {alias.asname or alias.name for alias in node.names}
+        return [
+            at(module, call.lineno, f"{ast.unparse(call.func)} is given {len(call.args)} values without their names")
+            for call in ast.walk(module.tree)
+            if isinstance(call, ast.Call) and len(call.args) > MAX_UNNAMED
+            if ast.unparse(call.func).removeprefix("cls.") in own or ast.unparse(call.func).startswith("self._")
+        ]
+
+    assert all_findings(findings) == []
+    assert findings(module_from_text("def f(*a): ...\nf(1, 2, 3, 4, 5)")) != []
+    assert findings(module_from_text("f(1, 2, 3, 4, 5)")) == []
 
 
 def test_public_names_have_docstrings() -> None:

@@ -108,7 +108,13 @@ def peak_resident_bytes() -> int:
 def _case_from(text: str) -> MemoryCase:
     content = json.loads(text)
     (height, width), (first, end) = content["hw"], content["window"]
-    return MemoryCase(content["matcher"], content["precision"], (height, width), (first, end), content["device"])
+    return MemoryCase(
+        matcher=content["matcher"],
+        precision=content["precision"],
+        hw=(height, width),
+        window=(first, end),
+        device=content["device"],
+    )
 
 
 if __name__ == "__main__":

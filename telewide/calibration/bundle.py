@@ -101,7 +101,15 @@ def normal_equations(problem: Problem, state: State, *, is_robust: bool = True) 
         pose[views.shot] += squares[:, n:-1, n:-1]
         shot_pull[np.ix_(views.shot, columns)] += squares[:, :n, -1]
         pose_pull[views.shot] += squares[:, n:-1, -1]
-    return Normal(shot_shared.sum(0), cross, pose, shot_pull.sum(0), pose_pull, shot_pull, shot_shared)
+    return Normal(
+        shared=shot_shared.sum(0),
+        cross=cross,
+        pose=pose,
+        shared_pull=shot_pull.sum(0),
+        pose_pull=pose_pull,
+        shot_pull=shot_pull,
+        shot_shared=shot_shared,
+    )
 
 
 def _columns(lens: int) -> NDArray[np.int64]:

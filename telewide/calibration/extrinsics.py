@@ -138,11 +138,11 @@ def agreement(problem: Problem, state: State) -> Agreement:
     pose_R = np.where(keep[..., None], both.pose_R, np.where(tele_alone[..., None], apart[0].pose_R, apart[1].pose_R))
     is_joint = np.isfinite(alone_px[0]) & np.isfinite(alone_px[1])
     return Agreement(
-        (alone[0], alone[1]),
-        together,
-        (alone_px[0], alone_px[1]),
-        (np.where(is_joint, together_px[0], np.nan), np.where(is_joint, together_px[1], np.nan)),
-        replace(both, pose_R=pose_R, pose_t=pose_t),
+        alone=(alone[0], alone[1]),
+        together=together,
+        alone_px=(alone_px[0], alone_px[1]),
+        together_px=(np.where(is_joint, together_px[0], np.nan), np.where(is_joint, together_px[1], np.nan)),
+        state=replace(both, pose_R=pose_R, pose_t=pose_t),
     )
 
 

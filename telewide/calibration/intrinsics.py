@@ -69,7 +69,14 @@ def fit_lens(views: Sightings, *, board_m: FloatArray, n_shots: int, rng: np.ran
     free = best_model(chosen, state, names=names, rng=rng)
     state = solve_bundle(chosen, state.held(free), free=free)
     state = _placed_left_out(problem, state, is_used=is_used)
-    return LensFit(state.lenses[0], free[:N_LENS], problem.sigma_px[0], prior, is_used, state)
+    return LensFit(
+        lens=state.lenses[0],
+        free=free[:N_LENS],
+        sigma_px=problem.sigma_px[0],
+        prior=prior,
+        is_used=is_used,
+        state=state,
+    )
 
 
 def first_focal_px(views: Sightings, *, board_m: FloatArray) -> float:

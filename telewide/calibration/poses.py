@@ -63,7 +63,9 @@ def placed(problem: Problem, state: State) -> State:
 def unplaced(lenses: FloatArray, *, n_shots: int, distance_m: float) -> State:
     """A state that knows the lenses alone: every board straight ahead, both lenses in one place."""
     pose_t = np.tile([0.0, 0.0, distance_m], (n_shots, 1))
-    return State(lenses, np.eye(3), np.zeros(3), np.tile(np.eye(3), (n_shots, 1, 1)), pose_t)
+    return State(
+        lenses=lenses, rig_R=np.eye(3), rig_t=np.zeros(3), pose_R=np.tile(np.eye(3), (n_shots, 1, 1)), pose_t=pose_t
+    )
 
 
 def view_scale_px(problem: Problem, state: State, *, lens: int) -> FloatArray:

@@ -122,7 +122,15 @@ def at_most(name: str, value: float, limits: tuple[float, float], *, advice: str
 
 
 def _check(name: str, status: Status, value: float, limit: float, *, advice: str, unit: str, bound: Bound) -> Check:
-    return Check(name, status, float(value), float(limit), "" if status == "pass" else advice, unit=unit, bound=bound)
+    return Check(
+        name=name,
+        status=status,
+        value=float(value),
+        limit=float(limit),
+        advice="" if status == "pass" else advice,
+        unit=unit,
+        bound=bound,
+    )
 
 
 def _with_unit(value: float, unit: str) -> str:

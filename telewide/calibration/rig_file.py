@@ -247,7 +247,13 @@ def _camera_of(sheet: CameraSheet) -> Camera:
 def _camera_std_of(sheet: CameraStdSheet | None) -> CameraStd | None:
     if sheet is None:
         return None
-    return CameraStd(sheet.f_px, sheet.cx_px, sheet.cy_px, np.array(sheet.distortion, dtype=np.float64), sheet.aspect)
+    return CameraStd(
+        f_px=sheet.f_px,
+        cx_px=sheet.cx_px,
+        cy_px=sheet.cy_px,
+        distortion=np.array(sheet.distortion, dtype=np.float64),
+        aspect=sheet.aspect,
+    )
 
 
 def _transform_std_of(sheet: RigStdSheet) -> TransformStd:

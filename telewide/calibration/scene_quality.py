@@ -219,7 +219,7 @@ def _unseen_checks(whole: SceneRig) -> Iterator[Check]:
     yield at_most(ZERO_CHECK, whole.std.zero_px, limits_px, advice=advice, unit="tele px")
     if whole.side_source in _SIDE_CHECKS:
         status, advice = _SIDE_CHECKS[whole.side_source]
-        yield Check("side of the wide lens", status, math.nan, math.nan, advice)
+        yield Check(name="side of the wide lens", status=status, value=math.nan, limit=math.nan, advice=advice)
     if whole.rig.is_scale_known:
         share = whole.std.baseline_m / whole.rig.baseline_m
         advice = (

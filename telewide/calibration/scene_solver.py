@@ -154,7 +154,9 @@ def first_rig(*, tele_hw: tuple[int, int], wide_hw: tuple[int, int], focal: Foca
         The rig, without a scale.
     """
     nothing = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
-    return _Scenes(nothing, np.zeros(0, dtype=np.intp), tele_hw, wide_hw, focal).rig(np.zeros(_N_GLOBAL))
+    return _Scenes(
+        matches=nothing, scene=np.zeros(0, dtype=np.intp), tele_hw=tele_hw, wide_hw=wide_hw, focal=focal
+    ).rig(np.zeros(_N_GLOBAL))
 
 
 def rig_from_scenes(
@@ -196,12 +198,13 @@ def rig_from_scenes(
         )
     matches, scene = _in_a_row([_drawn(m, rng) for m in telling])
     few, few_scene = _in_a_row([_drawn(m, rng, at_most=_MAX_MATCHES_AT_FIRST) for m in telling[:_MAX_SCENES_AT_FIRST]])
+    begun = _Scenes(matches=few, scene=few_scene, tele_hw=tele_hw, wide_hw=wide_hw, focal=focal)
     tried = []
     for azimuth_rad in np.radians(_AZIMUTHS_DEG):
-        fit = _solved(_Scenes(few, few_scene, tele_hw, wide_hw, focal, float(azimuth_rad)))
+        fit = _solved(replace(begun, azimuth_rad=float(azimuth_rad)))
         tried.append((fit.cost, float(azimuth_rad), fit.x[:_N_GLOBAL]))
     _, azimuth_rad, x_rig = min(tried, key=lambda candidate: candidate[0])
-    solving = _Scenes(matches, scene, tele_hw, wide_hw, focal, azimuth_rad)
+    solving = replace(begun, matches=matches, scene=scene, azimuth_rad=azimuth_rad)
     return _described(_solved(solving, x_rig=x_rig), solving, baseline_m=baseline_m, wide_side=wide_side)
 
 
@@ -241,7 +244,7 @@ def _described(fit: RobustFit, scenes: _Scenes, *, baseline_m: float | None, wid
         zero_px=float(np.hypot(zero_px, shift_px)),
         baseline_m=0.0 if baseline_m is None else stated_baseline_std_m(baseline_m),
     )
-    found = SceneRig(rig, std, scenes.n, side_source, scenes.focal)
+    found = SceneRig(rig=rig, std=std, n_scenes=scenes.n, side_source=side_source, focal=scenes.focal)
     return replace(found, notes=tuple(scene_notes(found)))
 
 

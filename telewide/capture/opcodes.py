@@ -237,7 +237,9 @@ def _parse_gain_map(body: bytes) -> GainMap:
     gains = np.frombuffer(body, dtype=">f4", count=count, offset=_GAIN_HEAD.size).astype(np.float32)
     if not np.isfinite(gains).all() or gains.min() < 0:
         raise ValueError("a GainMap with gains that are no numbers of 0 or more")
-    return GainMap(area, planes, pitch, spacing, origin, gains.reshape(*points, n_planes))
+    return GainMap(
+        area=area, planes=planes, pitch=pitch, spacing=spacing, origin=origin, gains=gains.reshape(*points, n_planes)
+    )
 
 
 def _doubles(body: bytes, *, offset: int, count: int) -> NDArray[np.float64]:

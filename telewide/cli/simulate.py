@@ -145,7 +145,11 @@ def _room_shots(
     from telewide.simulate.rooms import DEFAULT_SAMPLES, RoomShots
 
     return RoomShots(
-        _or(width, _ROOM_WIDTH_PX), _or(samples, DEFAULT_SAMPLES), _is_vertical(lenses), is_raw, has_thin_lens
+        width=_or(width, _ROOM_WIDTH_PX),
+        samples=_or(samples, DEFAULT_SAMPLES),
+        is_vertical=_is_vertical(lenses),
+        is_raw=is_raw,
+        has_bokeh=has_thin_lens,
     )
 
 

@@ -66,7 +66,9 @@ def compare_factors(
         statements.append(
             f"EXIF states an asymmetric factor of {exif:.2f}, {named} {factor:.2f}: a digital zoom or a crop"
         )
-    return AsymmetryEstimate(rig, matches, exif, factor, source, tuple(statements))
+    return AsymmetryEstimate(
+        rig=rig, matches=matches, exif=exif, factor=factor, source=source, statements=tuple(statements)
+    )
 
 
 def factor_from_exif(

@@ -109,7 +109,9 @@ def fit_blur(ref: FloatImage, src: FloatImage, matches: Matches) -> BlurEstimate
     law = _fitted(kept, is_round=not _is_elongated(kept))
     sigma_px, angle_rad = _axes(law)
     residual = float(np.sqrt(np.mean(_window_residuals(kept, law))))
-    return BlurEstimate(sigma_px, angle_rad, _spread(kept, law), residual, len(kept))
+    return BlurEstimate(
+        sigma_px=sigma_px, angle_rad=angle_rad, sigma_std_px=_spread(kept, law), residual=residual, n=len(kept)
+    )
 
 
 def sigma_from_factor(factor: float) -> float:

@@ -229,7 +229,14 @@ def _judged(choice: _Choice, samples: ColourSamples, judged: ColourSamples | Non
     else:
         before, after, n_judged = _deltas(judged, IDENTITY), _deltas(judged, choice.model), len(judged)
     means = [float(deltas.mean()) if len(deltas) else float("nan") for deltas in (before, after)]
-    return ColourFit(choice.model, choice.parts, means[0], means[1], len(samples), n_judged)
+    return ColourFit(
+        model=choice.model,
+        parts=choice.parts,
+        delta_before=means[0],
+        delta_after=means[1],
+        n=len(samples),
+        n_judged=n_judged,
+    )
 
 
 def _chosen(samples: ColourSamples) -> _Choice:

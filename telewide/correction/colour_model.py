@@ -134,7 +134,7 @@ def fit_model(
         residual = ref_encoded - values
         delta = np.clip(2.0 * np.median(np.abs(residual)), 0.004, 0.02)
         weight = 1.0 / np.maximum(np.abs(residual) / delta, 1.0)
-        step = _solve(jacobian, residual, weight, prior, model)
+        step = _solve(jacobian=jacobian, residual=residual, weight=weight, prior=prior, model=model)
         model = _moved(model, step)
         if np.abs(step).max() < 1e-5:
             break

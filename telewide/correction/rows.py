@@ -76,8 +76,7 @@ def fit_vertical(matches: Matches, *, hw: tuple[int, int]) -> VerticalFit:
     Returns:
         The fit; the identity where the misfit is below 0.1 px everywhere, and, marked so, for fewer than 20 matches.
     """
-    before_px = float(np.median(np.abs(matches.vertical_px))) if len(matches) else float("nan")
-    identity = VerticalFit(0.0, 0.0, 0.0, len(matches), before_px, before_px, hw, is_fitted=False)
+    identity = _identity(matches, hw=hw)
     if len(matches) < MIN_MATCHES:
         return identity
     centre_y, centre_x = (hw[0] - 1) / 2, (hw[1] - 1) / 2
@@ -110,6 +109,20 @@ def fit_vertical(matches: Matches, *, hw: tuple[int, int]) -> VerticalFit:
     if fit.largest_misfit_px < NEGLIGIBLE_PX:
         return replace(identity, is_fitted=True)
     return fit
+
+
+def _identity(matches: Matches, *, hw: tuple[int, int]) -> VerticalFit:
+    before_px = float(np.median(np.abs(matches.vertical_px))) if len(matches) else float("nan")
+    return VerticalFit(
+        offset_px=0.0,
+        slope_x=0.0,
+        slope_y=0.0,
+        n=len(matches),
+        residual_before_px=before_px,
+        residual_after_px=before_px,
+        hw=hw,
+        is_fitted=False,
+    )
 
 
 def apply_vertical(src: FloatImage, fit: VerticalFit) -> FloatImage:

@@ -178,7 +178,9 @@ def correct_pair(
     wide = apply_vertical(pair.wide, vertical)
     colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)), held_out=held_out)
     corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour))
-    return CorrectedPair(corrected, vertical, colour, fit_half, held_out)
+    return CorrectedPair(
+        pair=corrected, vertical=vertical, colour=colour, matches_fit=fit_half, matches_held_out=held_out
+    )
 
 
 def disparity_window(

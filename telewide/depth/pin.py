@@ -133,7 +133,13 @@ def pin_distance(disparity_px: FloatMap, known: KnownDistance, *, geometry: Rect
     wanted_px = geometry.f_px * geometry.rig.baseline_m * length / known.distance_m
     std_px = float(np.hypot(spread_px, wanted_px * known.std_share))
     doffs_px = wanted_px - d_px
-    return DistancePin(doffs_px, doffs_px - geometry.doffs_px, std_px, d_px + geometry.doffs_px, spread_px)
+    return DistancePin(
+        doffs_px=doffs_px,
+        correction_px=doffs_px - geometry.doffs_px,
+        std_px=std_px,
+        seen_px=d_px + geometry.doffs_px,
+        seen_std_px=spread_px,
+    )
 
 
 def weigh_pin(pin: DistancePin, *, geometry: RectifiedGeometry, lens_shift_std_px: float) -> DistancePin:

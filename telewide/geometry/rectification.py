@@ -153,16 +153,18 @@ def rectified_geometry(
     extent_px = (high_xy - low_xy) * f_px
     shown_wh = np.ceil(extent_px - _WHOLE_PX)
     margin_px = known_px + math.floor(extent_px[0] * share + _WHOLE_PX)
-    spare_px = np.maximum(shown_wh - extent_px, 0)
-    centre_px = np.array([margin_px, 0]) - 0.5 - low_xy * f_px + spare_px / 2
-    if not shown_wh.prod() <= MAX_CANVAS * math.prod(rig.tele.hw):
-        raise InputError(
-            f"the rectified views of this rig would have {shown_wh[0]:.0f} x {shown_wh[1]:.0f} px, its tele photo has "
-            f"{rig.tele.hw[1]} x {rig.tele.hw[0]}",
-            hint="calibrate again",
-        )
+    centre_px = np.array([margin_px, 0]) - 0.5 - low_xy * f_px + np.maximum(shown_wh - extent_px, 0) / 2
+    _check_canvas(shown_wh, rig)
     hw = (int(shown_wh[1]), int(shown_wh[0]) + margin_px)
-    return RectifiedGeometry(rig, hw, f_px, rect_from_tele, centre_px, float(doffs_px), margin_px)
+    return RectifiedGeometry(
+        rig=rig,
+        hw=hw,
+        f_px=f_px,
+        rect_from_tele=rect_from_tele,
+        ref_centre_px=centre_px,
+        doffs_px=float(doffs_px),
+        margin_px=margin_px,
+    )
 
 
 def rectifying_rotation(rig: StereoRig) -> FloatArray:
@@ -272,6 +274,15 @@ def _border_px(hw: tuple[int, int]) -> FloatArray:
     sides = [(x, np.full_like(x, -0.5)), (x, np.full_like(x, hw[0] - 0.5))]
     sides += [(np.full_like(y, -0.5), y), (np.full_like(y, hw[1] - 0.5), y)]
     return np.concatenate([np.column_stack(side) for side in sides])
+
+
+def _check_canvas(shown_wh: FloatArray, rig: StereoRig) -> None:
+    if not shown_wh.prod() <= MAX_CANVAS * math.prod(rig.tele.hw):
+        raise InputError(
+            f"the rectified views of this rig would have {shown_wh[0]:.0f} x {shown_wh[1]:.0f} px, its tele photo has "
+            f"{rig.tele.hw[1]} x {rig.tele.hw[0]}",
+            hint="calibrate again",
+        )
 
 
 def _check_facing(rig: StereoRig, border_rays: FloatArray, rect_from_tele: FloatArray) -> None:

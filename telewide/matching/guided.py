@@ -200,7 +200,7 @@ class GuidedMatching(nn.Module):
         mean = correlation.float().mean(dim=1)
         logits = self._regularised(correlation, ref[2]) + self.correlation_scale * mean
         coarse_px = expect_disparity_at_mode(logits, window=window)
-        guesses, hidden = self._updated(coarse_px, logits, mean, ref[2], window)
+        guesses, hidden = self._updated(coarse_px, logits, mean, trunk=ref[2], window=window)
         half_px = upsample_convex(guesses[-1], self.up_weights(hidden), factor=2)
         refined_px, fine = self._at_half(half_px, hidden, ref[1], src[1])
         full_px = upsample_convex(refined_px, self.half_weights(fine), factor=2)
@@ -215,7 +215,7 @@ class GuidedMatching(nn.Module):
         return regularised.float()
 
     def _updated(
-        self, coarse_px: Tensor, logits: Tensor, mean: Tensor, trunk: Tensor, window: Window
+        self, coarse_px: Tensor, logits: Tensor, mean: Tensor, *, trunk: Tensor, window: Window
     ) -> tuple[list[Tensor], Tensor]:
         first, context = self.context(trunk).chunk(2, dim=1)
         hidden = torch.tanh(first)

@@ -65,12 +65,16 @@ def _build_dan(factor: int, kernels: str) -> Dan:
 
 def _dan(kernels: str) -> Restorer:
     return Restorer(
-        lambda factor: _build_dan(factor, kernels), alternating_loss, DAN_FACTORS, KERNEL_RANGES[kernels], 4e-4
+        build=lambda factor: _build_dan(factor, kernels),
+        loss=alternating_loss,
+        factors=DAN_FACTORS,
+        kernels=KERNEL_RANGES[kernels],
+        learning_rate=4e-4,
     )
 
 
 RESTORERS: dict[str, Restorer] = {
-    "rcan": Restorer(Rcan, absolute_loss, RCAN_FACTORS, None, 1e-4),
+    "rcan": Restorer(build=Rcan, loss=absolute_loss, factors=RCAN_FACTORS, kernels=None, learning_rate=1e-4),
     "dan": _dan("anisotropic"),
     "dan-isotropic": _dan("isotropic"),
 }

@@ -248,7 +248,14 @@ def _write_photos(phone: _Phone, shot: _Shot, lights: dict[str, FloatImage], *, 
     for name, light in lights.items():
         focal_mm, f35_mm = _FOCAL_MM[name]
         taken = _FIRST_SHOT + timedelta(minutes=shot.number)
-        facts = ExifFacts("Telewide", "Simulated Phone", focal_mm, f35_mm, taken, stated_m)
+        facts = ExifFacts(
+            make="Telewide",
+            model="Simulated Phone",
+            focal_length_mm=focal_mm,
+            f35_mm=f35_mm,
+            taken=taken,
+            subject_distance_m=stated_m,
+        )
         frame = expose(light * np.float32(gain), phone.sensors[name], rng=shot.rng)
         if phone.how.is_raw:
             write_dng(shot.folder / f"{name}.dng", frame, facts=facts)

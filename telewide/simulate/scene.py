@@ -119,7 +119,15 @@ def _new_world(
     x_first = math.floor(min(0.0, low)) - _MARGIN_PX
     x_end = hw[1] + math.ceil(max(0.0, high)) + _MARGIN_PX
     favourite = photos[int(rng.integers(len(photos)))] if photos else None
-    return _World(rng, hw, (x_first, 0, x_end, hw[0]), start, start + share * (high - low), photos, favourite)
+    return _World(
+        rng=rng,
+        hw=hw,
+        box=(x_first, 0, x_end, hw[0]),
+        low_px=start,
+        high_px=start + share * (high - low),
+        photos=photos,
+        favourite=favourite,
+    )
 
 
 def _paint(world: _World, *, hw: tuple[int, int], weak_share: float = 0.15) -> FloatImage:
@@ -157,7 +165,7 @@ def _wall(world: _World) -> Layer:
         relief = np.asarray(relief * np.float32(rng.uniform(0.1, 0.3) * span), np.float32)
     plane = (0.0, float(rng.normal(0.0, 0.1)) * span / width, float(rng.normal(0.0, 0.2)) * span / height)
     texture = _paint(world, hw=(height, width), weak_share=0.2)
-    layer = Layer(texture, None, world.box[:2], plane, relief)
+    layer = Layer(texture=texture, alpha=None, origin_xy=world.box[:2], plane_px=plane, relief_px=relief)
     low, high = disparity_range_px(layer)
     shift_px = world.low_px + depth_px - (low + high) / 2
     return _within_window(world, _shaded(rng, _moved(layer, shift_px)))
@@ -222,7 +230,7 @@ def _solid(world: _World, ground: Layer | None, *, disparity_px: float) -> list[
     hw = (box[3] - box[1], box[2] - box[0])
     plane = _plane_at(centre, disparity_px=disparity_px, slopes=_random_slopes(rng))
     layer = Layer(_paint(world, hw=hw, weak_share=0.2), shapes.filled(outline, box=box, holes=holes), box[:2], plane)
-    layer = Layer(layer.texture, layer.alpha, layer.origin_xy, plane, relief)
+    layer = Layer(texture=layer.texture, alpha=layer.alpha, origin_xy=layer.origin_xy, plane_px=plane, relief_px=relief)
     return [_within_window(world, _shaded(rng, layer))]
 
 
@@ -308,7 +316,13 @@ def _foot_on(ground: Layer, *, x: float, disparity_px: float) -> float:
 
 def _moved(layer: Layer, shift_px: float) -> Layer:
     a, b, c = layer.plane_px
-    return Layer(layer.texture, layer.alpha, layer.origin_xy, (a + shift_px, b, c), layer.relief_px)
+    return Layer(
+        texture=layer.texture,
+        alpha=layer.alpha,
+        origin_xy=layer.origin_xy,
+        plane_px=(a + shift_px, b, c),
+        relief_px=layer.relief_px,
+    )
 
 
 def _within_window(world: _World, layer: Layer) -> Layer:
@@ -324,7 +338,13 @@ def _within_window(world: _World, layer: Layer) -> Layer:
         relief = None if relief is None else np.asarray(relief * np.float32(flatter), np.float32)
         low, high = middle + flatter * (low - middle), middle + flatter * (high - middle)
     shift = max(0.0, world.low_px - low) - max(0.0, high - world.high_px)
-    return Layer(layer.texture, layer.alpha, layer.origin_xy, (a + shift, b, c), relief)
+    return Layer(
+        texture=layer.texture,
+        alpha=layer.alpha,
+        origin_xy=layer.origin_xy,
+        plane_px=(a + shift, b, c),
+        relief_px=relief,
+    )
 
 
 def _shaded(rng: np.random.Generator, layer: Layer) -> Layer:
@@ -342,7 +362,13 @@ def _shaded(rng: np.random.Generator, layer: Layer) -> Layer:
         lean = np.float32(direction[0]) * slope_x + np.float32(direction[1]) * slope_y
         light = np.asarray(light + np.float32(rng.uniform(0.0, 3.0)) * lean, np.float32)
     texture = np.clip(layer.texture * np.clip(light, 0.3, 1.6)[..., None], 0.0, 1.0)
-    return Layer(np.asarray(texture, np.float32), layer.alpha, layer.origin_xy, layer.plane_px, layer.relief_px)
+    return Layer(
+        texture=np.asarray(texture, np.float32),
+        alpha=layer.alpha,
+        origin_xy=layer.origin_xy,
+        plane_px=layer.plane_px,
+        relief_px=layer.relief_px,
+    )
 
 
 def _cast_shadow(rng: np.random.Generator, layer: Layer, behind: list[Layer]) -> None:

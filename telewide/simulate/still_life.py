@@ -85,7 +85,9 @@ def still_life(
         raise ValueError(f"disparity_window_px is {disparity_window_px}, expected a lower and a higher bound")
     x_first, x_end = math.floor(min(0.0, low)) - _MARGIN_PX, hw[1] + math.ceil(max(0.0, high)) + _MARGIN_PX
     colours = tuple(_colour(code) for code in _PALETTES[int(rng.integers(len(_PALETTES)))])
-    stage = _Stage(rng, hw, (x_first, 0, x_end, hw[0]), low + 0.06 * (high - low), high, colours)
+    stage = _Stage(
+        rng=rng, hw=hw, box=(x_first, 0, x_end, hw[0]), far_px=low + 0.06 * (high - low), near_px=high, colours=colours
+    )
     floor = _floor(stage, horizon=float(rng.uniform(0.42, 0.58)) * hw[0])
     standing: list[Layer] = []
     places = (np.arange(5) + rng.uniform(0.15, 0.85, 5)) / 5 * hw[1]
@@ -121,7 +123,9 @@ def _wall(stage: _Stage) -> Layer:
     fall = np.linspace(1.08, 0.72, width, dtype=np.float32)[None, :, None]
     tilt = float(rng.normal(0.0, 0.03)) * span / width
     plane = (stage.far_px - tilt * stage.hw[1] / 2, tilt, 0.0)
-    return Layer(_clipped(texture * fall), None, stage.box[:2], plane, relief)
+    return Layer(
+        texture=_clipped(texture * fall), alpha=None, origin_xy=stage.box[:2], plane_px=plane, relief_px=relief
+    )
 
 
 def _bricks(stage: _Stage, *, hw: tuple[int, int]) -> FloatImage:
@@ -190,7 +194,15 @@ def _ball(stage: _Stage, floor: Layer, x: float, disparity_px: float) -> list[La
     towards = np.sqrt(np.clip(1 - u * u - v * v, 0.02, 1))
     texture = _lit(np.asarray(wrapped, np.float32), u, v, towards)
     relief = np.float32(_BULGE * radius) * shapes.dome(u, v)
-    return [Layer(texture, shapes.filled(outline, box=box), box[:2], (disparity_px, 0.0, 0.0), _relief(relief))]
+    return [
+        Layer(
+            texture=texture,
+            alpha=shapes.filled(outline, box=box),
+            origin_xy=box[:2],
+            plane_px=(disparity_px, 0.0, 0.0),
+            relief_px=_relief(relief),
+        )
+    ]
 
 
 def _pot(stage: _Stage, floor: Layer, x: float, disparity_px: float) -> list[Layer]:
@@ -214,7 +226,13 @@ def _pot(stage: _Stage, floor: Layer, x: float, disparity_px: float) -> list[Lay
     texture = drawn_texture(rng, hw=u.shape, colours=stage.two_colours())
     lit = _lit(texture, u, np.zeros_like(u), np.sqrt(np.clip(1 - u * u, 0.02, 1)))
     relief = np.float32(_BULGE) * half_width * (1 - np.minimum(u * u, 1))
-    pot = Layer(lit, shapes.filled(outline, box=box), box[:2], (disparity_px, 0.0, 0.0), _relief(relief))
+    pot = Layer(
+        texture=lit,
+        alpha=shapes.filled(outline, box=box),
+        origin_xy=box[:2],
+        plane_px=(disparity_px, 0.0, 0.0),
+        relief_px=_relief(relief),
+    )
     rim = (x, foot - 1.9 * half_height)
     return [*_leaves(stage, rim, disparity_px=disparity_px, length_px=2.2 * half_height), pot]
 
@@ -271,7 +289,15 @@ def _crate(stage: _Stage, floor: Layer, x: float, disparity_px: float) -> list[L
         lift_px = 0.2 if is_lid else 0.4
         plane = (disparity_px + lift_px - b * x - c * (foot - size), b, c)
         relief = None if is_lid else _relief(-np.float32(lean) * np.abs(along))
-        faces.append(Layer(texture, shapes.filled(outline, box=box), box[:2], plane, relief))
+        faces.append(
+            Layer(
+                texture=texture,
+                alpha=shapes.filled(outline, box=box),
+                origin_xy=box[:2],
+                plane_px=plane,
+                relief_px=relief,
+            )
+        )
     return faces
 
 
@@ -316,7 +342,13 @@ def _post(stage: _Stage) -> Layer:
     texture = _grained(rng, first + (second - first) * np.clip(0.5 + 2.5 * twist, 0, 1)[..., None], amount=0.1)
     lit = _lit(texture, u, np.zeros_like(u), np.sqrt(np.clip(1 - u * u, 0.02, 1)))
     relief = np.float32(_BULGE * width_px / 2) * (1 - u * u)
-    return Layer(lit, alpha, box[:2], (stage.near_px - _BULGE * width_px / 2, 0.0, 0.0), _relief(relief))
+    return Layer(
+        texture=lit,
+        alpha=alpha,
+        origin_xy=box[:2],
+        plane_px=(stage.near_px - _BULGE * width_px / 2, 0.0, 0.0),
+        relief_px=_relief(relief),
+    )
 
 
 def _nearness(stage: _Stage, disparity_px: float) -> float:

@@ -110,7 +110,9 @@ def _take_up(
             observer.said(f"resuming {planned(recipe)[state.stage_index].name} at step {state.step}")
     processes.wait()  # all have read what the writer now changes
     if processes.is_writer and not state.is_finished:
-        write_record(folder, TrainingRecord(resolved, source.window_px, (), (), ()))
+        write_record(
+            folder, TrainingRecord(recipe=resolved, window=source.window_px, captures=(), held_out=(), judged=())
+        )
         drop_log_after(folder.training_log, stage_index=state.stage_index, step=state.step)
     return state
 

@@ -131,7 +131,9 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Obser
     solved = calibrate_shots(boards, options=options, observer=observer)
     write_rig(options.out, solved.calibration, facts=solved.facts)
     report = _write_report(boards, solved, options=options)
-    return CalibrationRun(solved.calibration, options.out, report, solved.facts, solved.notes)
+    return CalibrationRun(
+        calibration=solved.calibration, rig=options.out, report=report, facts=solved.facts, notes=solved.notes
+    )
 
 
 def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observer) -> SolvedBoards:
@@ -172,7 +174,7 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
         board=chosen.name,
         notes=chosen.notes,
     )
-    return SolvedBoards(shots, calibration, chosen, facts, notes)
+    return SolvedBoards(shots=shots, calibration=calibration, board=chosen, facts=facts, notes=notes)
 
 
 def _focus_distance_m(shots: Sequence[BoardShot]) -> float | None:

@@ -324,7 +324,15 @@ def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:
         if is_used:
             errors_px = row_errors_px(matches, rig=evidence.whole.rig)
             agreeing = matches.select(is_match(errors_px, rig=evidence.whole.rig))
-        views.append(SceneView(capture.name, agreeing, len(matches), held_out.get(number, np.zeros(0)), is_used))
+        views.append(
+            SceneView(
+                name=capture.name,
+                matches=agreeing,
+                n_found=len(matches),
+                errors_px=held_out.get(number, np.zeros(0)),
+                is_used=is_used,
+            )
+        )
     return tuple(views)
 
 

@@ -82,10 +82,7 @@ def begun(
         InputError: photos straight from a phone have no rig; a folder in the run folder is a link.
     """
     folder, captures = locate_run(run, captures_root), _chosen(find_captures(captures_root), only)
-    if folder.root.resolve() == captures_root.resolve():
-        raise UsageError(
-            f"{captures_root} holds the captures; a run needs a folder of its own", hint="name another one"
-        )
+    _refuse_captures_as_run(captures_root, folder)
     found_rig = locate_rig(rig, captures)
     refuse_without_rig(captures, rig=found_rig)
     for place in (folder.pairs, folder.train, folder.depth):
@@ -95,8 +92,24 @@ def begun(
             held.enter_context(alone_in(folder.root, waiting=observer.said))
         processes.wait()
         by_program = Invocation("train", (captures_root,), {"out": run, "rig": rig})
-        invocation = observer.invocation or by_program
-        yield Call(captures, folder, recipe, device, processes, observer, found_rig, rig, invocation)
+        yield Call(
+            captures=captures,
+            folder=folder,
+            recipe=recipe,
+            device=device,
+            processes=processes,
+            observer=observer,
+            rig=found_rig,
+            rig_file=rig,
+            invocation=observer.invocation or by_program,
+        )
+
+
+def _refuse_captures_as_run(captures_root: Path, folder: RunFolder) -> None:
+    if folder.root.resolve() == captures_root.resolve():
+        raise UsageError(
+            f"{captures_root} holds the captures; a run needs a folder of its own", hint="name another one"
+        )
 
 
 def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:

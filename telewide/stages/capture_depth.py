@@ -199,7 +199,15 @@ def _compute(
         picture, note, focused = _blurred(photo, result, bokeh)
         numbers |= focused
     numbers["total_s"] = time.monotonic() - begun_s
-    return _Computed(photo, result, metric_notes, picture, note, numbers, withheld)
+    return _Computed(
+        photo=photo,
+        result=result,
+        metric_notes=metric_notes,
+        picture=picture,
+        bokeh_note=note,
+        numbers=numbers,
+        withheld=withheld,
+    )
 
 
 def _blurred(

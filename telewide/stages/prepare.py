@@ -162,7 +162,9 @@ def prepare_captures(
         is_measured = 0 < n_refused == sum(problem.is_skipped for problem in problems)
         kind = QualityError if is_measured else InputError
         raise kind(f"{captures.root}: no capture can be used{lines}", hint=hint)
-    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig)
+    return PreparedSet(
+        pairs=tuple(pairs), facts=captures.facts, stated_window=recipe.window_px, problems=tuple(problems), rig=rig
+    )
 
 
 def _what_is_cut_off(report: PairReport, stated: Window | None) -> list[Problem]:
@@ -352,7 +354,9 @@ def _read_kept(
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
-    return PreparedPair(capture, corrected, report, scale, held_out, alignment, blur)
+    return PreparedPair(
+        source=capture, capture=corrected, report=report, scale=scale, held_out=held_out, alignment=alignment, blur=blur
+    )
 
 
 def _files_of_pair(rig: StoredRig | None) -> tuple[str, ...]:

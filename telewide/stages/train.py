@@ -238,7 +238,14 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
         captures, held_out = _names(content["captures"]), _names(content["held_out"])
         judged = _names(content.get("judged", held_out or captures))
         prints = {str(name): str(value) for name, value in content.get("pairs_sha256", {}).items()}
-        return TrainingRecord({**content["recipe"]}, (first, end), captures, held_out, judged, prints)
+        return TrainingRecord(
+            recipe={**content["recipe"]},
+            window=(first, end),
+            captures=captures,
+            held_out=held_out,
+            judged=judged,
+            pairs_sha256=prints,
+        )
     except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path} is damaged") from error
 
@@ -263,7 +270,14 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     prints = {item.capture.name: fingerprint(item.capture.tele_path.with_name(RECORD_NAME)) for item in prepared.pairs}
     if kept is None:
         held_out = _choose_held_out(names, recipe)
-        return TrainingRecord(resolved, prepared.window_with(None), names, held_out, held_out or names, prints)
+        return TrainingRecord(
+            recipe=resolved,
+            window=prepared.window_with(None),
+            captures=names,
+            held_out=held_out,
+            judged=held_out or names,
+            pairs_sha256=prints,
+        )
     refuse_another_recipe(kept, resolved, anew=anew)
     # Held-out captures stay: the judge must not change under a network.
     held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
@@ -277,7 +291,14 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
             f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
             hint=f"add captures, or start over: {anew}",
         )
-    return TrainingRecord(resolved, prepared.window_with(kept.window), names, held_out, judged, prints)
+    return TrainingRecord(
+        recipe=resolved,
+        window=prepared.window_with(kept.window),
+        captures=names,
+        held_out=held_out,
+        judged=judged,
+        pairs_sha256=prints,
+    )
 
 
 def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object], *, anew: str) -> None:

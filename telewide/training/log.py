@@ -55,7 +55,14 @@ def _parsed(lines: Iterable[str]) -> Iterable[LogLine]:
             losses, judgement = entry.get("losses", {}), entry.get("judgement", {})
             stage, index, step = entry["stage"], entry.get("stage_index", 0), entry["step"]
             if isinstance(stage, str) and _is_count(index) and _is_count(step):
-                yield LogLine(stage, index, step, _numbers(losses), _numbers(judgement), line)
+                yield LogLine(
+                    stage=stage,
+                    stage_index=index,
+                    step=step,
+                    losses=_numbers(losses),
+                    judgement=_numbers(judgement),
+                    text=line,
+                )
         except (ValueError, KeyError, TypeError, AttributeError):
             continue
 

@@ -112,7 +112,7 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
                 _begin_stage(state, stage)
             reporter.stage_started(stage, first_step=state.step)
             _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
-            _end_stage(training, state, stage, plan, reporter)
+            _end_stage(training=training, state=state, stage=stage, plan=plan, reporter=reporter)
             # Asked of all processes, so that none goes on before the writer has saved.
             if training.processes.is_any(is_stop_requested()):
                 raise KeyboardInterrupt

@@ -62,7 +62,14 @@ class Batch:
         """Move the tensors."""
         ref, src, truth_px = (t.to(device) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
         occluded = None if self.occluded_BHW is None else self.occluded_BHW.to(device)
-        return Batch(ref, src, truth_px, self.n_rehearsed, occluded, self.window)
+        return Batch(
+            ref_BCHW=ref,
+            src_BCHW=src,
+            truth_px_BHW=truth_px,
+            n_rehearsed=self.n_rehearsed,
+            occluded_BHW=occluded,
+            window=self.window,
+        )
 
 
 Reduce = Callable[[Tensor], Tensor]
@@ -86,7 +93,7 @@ def objective(
     """
     weighted = _supervised_terms(output, batch, stage, window)
     if stage.options.captured and stage.options.captured_loss != "labels":
-        weighted += _captured_terms(output, batch, stage, window, teacher)
+        weighted += _captured_terms(output=output, batch=batch, stage=stage, window=window, teacher=teacher)
     counts = global_sum(torch.stack([term.count.detach() for _, _, term in weighted])).clamp(min=1.0)
     shares = torch.stack([weight * term.total for _, weight, term in weighted]) / counts
     parts: dict[str, float] = {}
@@ -147,7 +154,9 @@ def _captured_terms(
         if options.captured_loss == "feature":
             if teacher is None:
                 raise ValueError(f"stage {stage.name} compares features, but no extractor was handed over")
-            term = _through_extractor(teacher, ref, src, disparity, visible, options.alpha)
+            term = _through_extractor(
+                teacher=teacher, ref=ref, src=src, disparity_px=disparity, visible=visible, alpha=options.alpha
+            )
         else:
             mask = is_inside_src(disparity.detach())
             if visible is not None:

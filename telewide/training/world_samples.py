@@ -77,7 +77,14 @@ class WorldBatches(Dataset[Batch]):
         window = (0, planes * VOLUME_STEP_PX)
         crops = [self._crop(np.random.default_rng([seed, 2, step, k]), step, k, window) for k in self._mine]
         ref, src, truth_px, occluded = (torch.stack(parts) for parts in zip(*crops, strict=True))
-        return Batch(ref, src, truth_px, len(crops), occluded, window)
+        return Batch(
+            ref_BCHW=ref,
+            src_BCHW=src,
+            truth_px_BHW=truth_px,
+            n_rehearsed=len(crops),
+            occluded_BHW=occluded,
+            window=window,
+        )
 
     def _crop(self, rng: np.random.Generator, step: int, k: int, window: Window) -> tuple[Tensor, ...]:
         ago = int(rng.integers(KEPT_WORLDS)) if k else 0

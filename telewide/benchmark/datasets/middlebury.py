@@ -42,8 +42,8 @@ class _Names:
 
 
 _LAYOUTS_2001 = (
-    _Names("im2", "im6", "disp2", 8, "disp6"),
-    _Names("im0", "im1", "disp0", 8, "disp1"),  # the scene called map
+    _Names(left="im2", right="im6", disparity="disp2", scale=8, right_disparity="disp6"),
+    _Names(left="im0", right="im1", disparity="disp0", scale=8, right_disparity="disp1"),  # the scene called map
     _Names("scene1.row3.col3", "scene1.row3.col4", "truedisp.row3.col3", 16),  # Tsukuba
     _Names("left", "right", "groundtruth", 16),  # Tsukuba, renamed
 )
@@ -89,7 +89,9 @@ def read_middlebury_2003(scene_folder: Path) -> StereoTruth:
     if path is None:
         raise UsageError(f"{scene_folder} holds no scene of Middlebury 2003; im2, im6 and disp2 were expected")
     scale = max(1, round(_FULL_WIDTH_2003_PX / read_levels(path).shape[1]))
-    truth = _read_bytes_scene(scene_folder, _Names("im2", "im6", "disp2", scale, "disp6"))
+    truth = _read_bytes_scene(
+        scene_folder, _Names(left="im2", right="im6", disparity="disp2", scale=scale, right_disparity="disp6")
+    )
     mask_path = picture_path(scene_folder, "occl")
     if mask_path is None:
         return truth

@@ -72,7 +72,15 @@ def draw_world(
     baseline = (near_px - far_px) / (focal_px * (nearness - 1))
     centre_px = (hw[1] * rng.uniform(0.4, 0.6), hw[0] * rng.uniform(0.3, 0.6))
     draft = _Draft(
-        rng, hw, focal_px, centre_px, nearness, None, palette, _NO_MATERIAL, math.exp(rng.uniform(-0.3, 1.1))
+        rng=rng,
+        hw=hw,
+        focal_px=focal_px,
+        centre_px=centre_px,
+        nearness=nearness,
+        ground_y=None,
+        palette=palette,
+        backdrop=_NO_MATERIAL,
+        detail=math.exp(rng.uniform(-0.3, 1.1)),
     )
     draft = replace(draft, backdrop=_material(draft, depth=1.0))
     draft, background = _background(draft)
@@ -83,11 +91,20 @@ def draw_world(
     light = Light(_unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth=1.0), gloss=0.0, macro_contrast=0.3)
     return World(
-        hw, focal_px, centre_px, baseline, far_px - focal_px * baseline, tuple(_with_shadows(solids, rng)), light, sky
+        hw=hw,
+        focal_px=focal_px,
+        centre_px=centre_px,
+        baseline=baseline,
+        offset_px=far_px - focal_px * baseline,
+        solids=tuple(_with_shadows(solids, rng)),
+        light=light,
+        sky=sky,
     )
 
 
-_NO_MATERIAL = Material(0, 0, 1.0, (0.0, 0.0), 0.0, 0.0, (1.0, 1.0, 1.0))
+_NO_MATERIAL = Material(
+    texture=0, macro=0, texels_per_unit=1.0, offset=(0.0, 0.0), contrast=0.0, macro_contrast=0.0, tint=(1.0, 1.0, 1.0)
+)
 
 
 def _light_colour(rng: np.random.Generator) -> tuple[float, float, float]:
@@ -147,7 +164,14 @@ def _wall(draft: _Draft) -> Solid:
     normal = np.array([slope[0] * draft.focal_px / width, slope[1] * draft.focal_px / height, 1.0])
     turn = _turn_with_z(_unit(normal))
     waves = _waves(draft, extent=1.0, depth=1.0) if rng.random() < 0.3 else None
-    return Solid(Kind.PLANE, turn, np.array([0.0, 0.0, 1.0]), np.ones(3), draft.backdrop, waves=waves)
+    return Solid(
+        kind=Kind.PLANE,
+        turn=turn,
+        centre=np.array([0.0, 0.0, 1.0]),
+        half_size=np.ones(3),
+        material=draft.backdrop,
+        waves=waves,
+    )
 
 
 def _waves(draft: _Draft, *, extent: float, depth: float) -> FloatArray:
@@ -175,7 +199,12 @@ def _ground(draft: _Draft) -> tuple[_Draft, Solid]:
     turn = tilt @ _turn_with_z(np.array([0.0, 1.0, 0.0]))
     waves = _waves(draft, extent=1.0, depth=0.5) if draft.rng.random() < 0.2 else None
     ground = Solid(
-        Kind.PLANE, turn, np.array([0.0, ground_y, 1.0]), np.ones(3), _material(draft, depth=0.7), waves=waves
+        kind=Kind.PLANE,
+        turn=turn,
+        centre=np.array([0.0, ground_y, 1.0]),
+        half_size=np.ones(3),
+        material=_material(draft, depth=0.7),
+        waves=waves,
     )
     return replace(draft, ground_y=ground_y), ground
 
@@ -200,7 +229,11 @@ def _in_room(draft: _Draft) -> tuple[_Draft, list[Solid]]:
     )
     # Only the far wall and what of the others lies before the nearest depth: the camera stands outside the other end.
     room = Solid(
-        Kind.ROOM, turn, turn @ np.array([0.0, 0.0, -2.0]) * 1.0, np.array([half_x, half_y, 3.0]), draft.backdrop
+        kind=Kind.ROOM,
+        turn=turn,
+        centre=turn @ np.array([0.0, 0.0, -2.0]) * 1.0,
+        half_size=np.array([half_x, half_y, 3.0]),
+        material=draft.backdrop,
     )
     return draft, [room]
 
@@ -245,7 +278,12 @@ def _body(draft: _Draft, kind: Kind) -> Solid:
     turn = _upright(rng) if rng.random() < 0.5 else _any_turn(rng)
     centre = _standing(draft, centre, float(half_size[1]))
     return Solid(
-        kind, turn, centre, half_size, _worn(draft, depth=centre[2]), taper=rng.uniform(0, 0.9) * (rng.random() < 0.5)
+        kind=kind,
+        turn=turn,
+        centre=centre,
+        half_size=half_size,
+        material=_worn(draft, depth=centre[2]),
+        taper=rng.uniform(0, 0.9) * (rng.random() < 0.5),
     )
 
 
@@ -275,11 +313,11 @@ def _rod(draft: _Draft) -> Solid:
     half = np.array([radius_px * per_px, radius_px * per_px, 0.5 * length_px * per_px])
     half[2] = min(half[2], 0.45 * centre[2] / max(1e-3, abs(way[2])))
     return Solid(
-        Kind.CONE,
-        _turn_with_z(way),
-        centre,
-        half,
-        _worn(draft, depth=centre[2]),
+        kind=Kind.CONE,
+        turn=_turn_with_z(way),
+        centre=centre,
+        half_size=half,
+        material=_worn(draft, depth=centre[2]),
         taper=rng.uniform(0, 0.8) * (rng.random() < 0.4),
     )
 
@@ -295,7 +333,15 @@ def _sheet(draft: _Draft) -> Solid:
     waves = None
     if rng.random() < 0.35 and radius_px > 20:
         waves = _waves(draft, extent=float(half_size[0]), depth=centre[2])
-    return Solid(Kind.SHEET, turn, centre, half_size, _worn(draft, depth=centre[2]), outline=outline, waves=waves)
+    return Solid(
+        kind=Kind.SHEET,
+        turn=turn,
+        centre=centre,
+        half_size=half_size,
+        material=_worn(draft, depth=centre[2]),
+        outline=outline,
+        waves=waves,
+    )
 
 
 _SINGLES: tuple[Callable[[_Draft], Solid], ...] = (_ellipsoid, _box, _cone, _rod, _sheet)
@@ -324,7 +370,9 @@ def _chair(draft: _Draft) -> list[Solid]:
     down = rng.uniform(0.6, 1.4) * side
 
     def part(kind: Kind, at: tuple[float, float, float], half: tuple[float, float, float]) -> Solid:
-        return Solid(kind, turn, centre + turn @ np.array(at), np.array(half), material)
+        return Solid(
+            kind=kind, turn=turn, centre=centre + turn @ np.array(at), half_size=np.array(half), material=material
+        )
 
     parts = [part(Kind.BOX, (0, 0, 0), (side / 2, 2 * leg, side / 2))]
     for x in (-1, 1):
@@ -346,12 +394,23 @@ def _plant(draft: _Draft) -> list[Solid]:
     for _ in range(int(rng.integers(5, 14))):
         at = centre + rng.normal(0, 0.5, 3) * radius
         half = rng.uniform(0.12, 0.45) * radius * np.array([1.0, rng.uniform(0.5, 1.0), 1.0])
-        solids.append(Solid(Kind.SHEET, _any_turn(rng), at, half, material, outline=outline))
+        solids.append(
+            Solid(kind=Kind.SHEET, turn=_any_turn(rng), centre=at, half_size=half, material=material, outline=outline)
+        )
     for _ in range(int(rng.integers(1, 5))):
         tip = rng.normal(0, 0.6, 3) * radius
         way, length = _unit(tip), float(np.linalg.norm(tip)) / 2
         stem = np.array([rng.uniform(0.5, 2.5) * per_px] * 2 + [length])
-        solids.append(Solid(Kind.CONE, _turn_with_z(way), centre + tip / 2, stem, material, taper=0.5))
+        solids.append(
+            Solid(
+                kind=Kind.CONE,
+                turn=_turn_with_z(way),
+                centre=centre + tip / 2,
+                half_size=stem,
+                material=material,
+                taper=0.5,
+            )
+        )
     return solids
 
 

@@ -115,14 +115,16 @@ def shade(paint: Paint, hits: Hits, *, camera: Camera) -> Tensor:
     point[:, 0] += camera.x * ~far
     local_from_world = part["local"].reshape(-1, 3, 3)
     local = torch.einsum("nij,nj->ni", local_from_world, point - part["centre"])
-    normal_local, axis = _normal(local, part["kind"][:, 0], part["taper"][:, 0], solid, paint)
+    normal_local, axis = _normal(
+        local=local, kind=part["kind"][:, 0], taper=part["taper"][:, 0], solid=solid, paint=paint
+    )
     normal = functional.normalize(torch.einsum("nij,ni->nj", local_from_world, normal_local), dim=-1)
     normal = torch.where((normal * ray).sum(dim=-1, keepdim=True) > 0, -normal, normal)
     facing = -(normal * functional.normalize(ray, dim=-1)).sum(dim=-1)
-    colour = _albedo(palette, part, local, axis, depth, facing, world)
+    colour = _albedo(palette=palette, part=part, local=local, axis=axis, depth=depth, facing=facing, world=world)
     lit = _light(world, point, normal, solid)
     colour = torch.where(far[:, None], colour, colour * lit)
-    return _mirror(colour, palette, part, ray, normal, far)
+    return _mirror(colour=colour, palette=palette, part=part, ray=ray, normal=normal, far=far)
 
 
 def _normal(local: Tensor, kind: Tensor, taper: Tensor, solid: Tensor, paint: Paint) -> tuple[Tensor, Tensor]:
