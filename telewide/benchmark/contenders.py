@@ -85,7 +85,8 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Contende
         return [_network_contender(label, network, card.window), _joint_contender(label, network, card.window)]
     run = RunFolder(source)
     result = run.weights
-    stages = sorted((p for p in run.train.glob(f"*{_SUFFIX}") if p != result), key=_position)
+    # Hidden ones are being written by a training under way.
+    stages = sorted((p for p in run.train.glob(f"[!.]*{_SUFFIX}") if p != result), key=_position)
     if not stages and not result.is_file():
         raise UsageError(
             f"{source} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"

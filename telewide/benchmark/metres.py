@@ -171,13 +171,17 @@ def read_depths(place: Path, done: DepthRun, *, rig: StereoRig) -> MeasuredDepth
     """
     gain = float(rig.tele.K[0, 0]) * rig.baseline_m
     parts = []
-    for outcome in done.outcomes:
-        with np.load(done.folder / outcome.name / "depth.npz", allow_pickle=False) as depth:
-            none = np.full(depth["valid"].shape, np.nan)  # a capture whose metres would mean nothing has none
-            depth_m, std_m = depth.get("depth_m", none), depth.get("depth_std_m", none)
-            depth_m = np.where(depth["valid"], depth_m, np.nan)
-        truth_m = gain / read_pfm(place / "captures" / outcome.name / "truth.pfm")
-        is_seen = read_image(place / "truth" / "hidden" / f"{outcome.name}.png")[..., 0] < 0.5
+    with_depth = {outcome.name for outcome in done.outcomes}
+    for truth_path in sorted((place / "captures").glob("*/truth.pfm")):
+        name = truth_path.parent.name
+        truth_m = gain / read_pfm(truth_path)
+        # A capture that was left out, or whose metres would mean nothing, has none: it counts as not known.
+        depth_m = std_m = np.full(truth_m.shape, np.nan)
+        if name in with_depth:
+            with np.load(done.folder / name / "depth.npz", allow_pickle=False) as depth:
+                depth_m, std_m = depth.get("depth_m", depth_m), depth.get("depth_std_m", std_m)
+                depth_m = np.where(depth["valid"], depth_m, np.nan)
+        is_seen = read_image(place / "truth" / "hidden" / f"{name}.png")[..., 0] < 0.5
         parts.append(np.stack([truth_m, depth_m, std_m])[:, is_seen])
     truth, depths, stds = np.concatenate(parts, axis=1).astype(np.float64)
     return MeasuredDepths(truth, depths, stds)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from telewide.cores import Device
+from telewide.errors import UsageError
 from telewide.matching.methods import Method
 from telewide.ranges import MAX_SEED
 
@@ -44,3 +45,20 @@ StrengthOption = Annotated[
     float | None,
     typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the longer side]"),
 ]
+
+
+def refuse_filled(folder: Path) -> None:
+    """Refuse to write into a folder that holds something: it would be replaced, or stand among what is made.
+
+    Raises:
+        UsageError: the folder is not empty, or cannot be opened.
+    """
+    try:
+        is_filled = folder.is_dir() and any(folder.iterdir())
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be opened: {error.strerror or error}") from error
+    if is_filled:
+        raise UsageError(
+            f"{folder} is not empty; a new folder was expected, for captures in it could be replaced",
+            hint="name a folder that is not there yet, or empty this one first",
+        )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telewide.cli.arguments import DeviceOption, RigOption
+from telewide.cli.arguments import DeviceOption, RigOption, refuse_filled
 from telewide.cli.console import console_observer, say
 from telewide.errors import UsageError
 from telewide.ranges import MAX_SEED
@@ -62,7 +62,7 @@ def middlebury(
     run: RunOption = None,
     split: Annotated[str, typer.Option(metavar="training|validation|test", help="Which scenes.")] = "validation",
     captures: Annotated[
-        Path | None, typer.Option(help="Keep the pairs in this folder. [default: a temporary one]")
+        Path | None, typer.Option(help="Keep the pairs in this new folder. [default: a temporary one]")
     ] = None,
     device: DeviceOption = "auto",
     json_file: JsonFileOption = None,
@@ -74,7 +74,7 @@ def middlebury(
     if split not in SPLITS:
         raise UsageError(f"--split {split}: expected {', '.join(SPLITS)}")
     contenders = all_contenders(run or (), device=device)
-    with _folder_or_temporary(captures) as folder:
+    with _new_folder_or_temporary(captures) as folder:
         report = benchmark_middlebury(
             data_root, contenders, scenes=SPLITS[split], factor=factor, captures=folder, tell=_tell
         )
@@ -110,7 +110,7 @@ def matches(
             captures,
             entrants,
             run=RunFolder(pairs_run),
-            recipe=recipe_of_depth(pairs_run, captures),
+            recipe=recipe_of_depth(pairs_run, captures, weights=sources[0] if sources else None),
             tell=_tell,
             trained_runs=[RunFolder(folder) for folder in dict.fromkeys(folders)],
             rig=rig,
@@ -127,7 +127,8 @@ def metres(
     width: Annotated[int, typer.Option(min=96, help="Of all photos, px.")] = 720,
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Same seed, same photos.")] = 0,
     keep: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Keep photos, rigs and depths. [default: a temporary one]")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Keep photos, rigs and depths there, in a new folder. [default: none]"),
     ] = None,
     device: DeviceOption = "auto",
     json_file: JsonFileOption = None,
@@ -137,7 +138,7 @@ def metres(
 
     options = MetresOptions(captures=captures, boards=boards, width=width, seed=seed, device=device)
     makers = depth_makers(run or ())
-    with console_observer(shows_table=False) as observer, _folder_or_temporary(keep) as folder:
+    with console_observer(shows_table=False) as observer, _new_folder_or_temporary(keep) as folder:
         report = benchmark_metres(folder, makers, options, observer=observer)
     _hand_over(report, metres_table(report), json_file)
 
@@ -145,6 +146,14 @@ def metres(
 def _run_of(source: Path) -> Path:
     """The run folder itself, or the one a weights file lies in."""
     return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source
+
+
+@contextmanager
+def _new_folder_or_temporary(folder: Path | None) -> Iterator[Path]:
+    if folder is not None:
+        refuse_filled(folder)
+    with _folder_or_temporary(folder) as place:
+        yield place
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
+from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption, refuse_filled
 from telewide.cli.console import bar, print_json, say
 from telewide.errors import UsageError
 from telewide.ranges import MAX_SEED
@@ -66,7 +66,7 @@ def simulate(
     of_rooms = {"--samples": samples, "--lenses": lenses, "--raw": raw or None, "--thin-lens": thin_lens or None}
     of_pairs = {"--height": height, "--factor": factor, "--scene": scene}
     _refuse_foreign(chosen, {"pairs": of_pairs, "rooms": of_rooms}, boards=boards)
-    _refuse_filled(out)
+    refuse_filled(out)
     n_boards = {"pairs": 0, "phone": _or(boards, 14), "rooms": _or(boards, 20)}[chosen]
     if chosen == "pairs":
         _simulate_pairs(out, captures, seed, hw=(height, width), factor=factor, scene=scene)
@@ -98,19 +98,6 @@ def _refuse_foreign(chosen: str, own: Mapping[str, Mapping[str, object]], *, boa
             raise UsageError(f"{', '.join(given)}: for --world {world}; the world is {chosen}")
     if chosen == "pairs" and boards is not None:
         raise UsageError("--boards: no board is photographed in the world pairs", hint="add --world phone or rooms")
-
-
-def _refuse_filled(out: Path) -> None:
-    """Captures that lie there would be replaced, or stand among the made ones."""
-    try:
-        is_filled = out.is_dir() and any(out.iterdir())
-    except OSError as error:
-        raise UsageError(f"{out} cannot be opened: {error.strerror or error}") from error
-    if is_filled:
-        raise UsageError(
-            f"{out} is not empty; a new folder was expected, for captures in it could be replaced",
-            hint="name a folder that is not there yet, or empty this one first",
-        )
 
 
 def _is_vertical(lenses: str | None) -> bool | None:

@@ -46,6 +46,16 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
     assert len(set(names)) == 3
 
 
+def test_weights_that_are_being_written_are_no_stage(tmp_path: Path) -> None:
+    train = tmp_path / "mine" / "train"
+    save(train / "rehearsal.safetensors", seed=0)
+    (train / ".telewide-ab12.safetensors").write_bytes(b"cut off")
+    assert [contender.name for contender in all_contenders([tmp_path / "mine"], device="cpu")] == [
+        "sgm",
+        "mine/rehearsal",
+    ]
+
+
 def test_a_folder_without_weights_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no trained network"):
         all_contenders([tmp_path], device="cpu")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
+from typer.testing import CliRunner
 
 from telewide.benchmark.contenders import Contender
 from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
@@ -14,14 +15,17 @@ from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
 from telewide.capture.images import read_pfm, write_image
 from telewide.capture.pair import find_captures
+from telewide.cli.benchmark import benchmark_app
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.networks import build_network
 from telewide.matching.window import Window
-from telewide.recipe import Recipe
+from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
+from telewide.training.checkpoint import WeightsCard, save_weights
 
 OFF_PX = 2.0
 
@@ -147,5 +151,31 @@ def test_captures_that_every_training_held_out_get_their_own_lines(captures: Pat
         (run.train / "training.json").write_text(json.dumps(record))
     report = measured(captures, trained_runs=runs[:1])
     assert [row["captures"] for row in report.rows] == ["all"] * 3 + ["held out"] * 3
+    assert "held-out captures chose the best weights" in report.notes[-1]
     both = measured(captures, trained_runs=runs)  # the second training has seen it
     assert {row["captures"] for row in both.rows} == {"all"}
+
+
+def test_a_lone_weights_file_is_judged_on_the_pairs_it_was_taught_on(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kept anywhere, of no run: what its training has seen is not known, and is said so."""
+    taught = load_recipe("quick", settings=["working_width_px=128"])
+    card = WeightsCard("lite", (0, 16), taught.model_dump(mode="json"), {})
+    save_weights(build_network("lite"), tmp_path / "kept.safetensors", card=card)
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(benchmark_app, ["matches", str(captures), "--run", "kept.safetensors"])
+    assert done.exit_code == 0, done.output
+    assert "kept + sgm" in done.output
+    assert "no capture is known to be unseen" in done.output
+
+
+@pytest.mark.parametrize("words", [("metres", "--keep"), ("middlebury", ".", "--captures")])
+def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path, words: tuple[str, ...]) -> None:
+    kept = tmp_path / "mine" / "captures.yaml"
+    kept.parent.mkdir()
+    kept.write_text("format: 1\n")
+    done = CliRunner().invoke(benchmark_app, [*words, str(kept.parent)])
+    assert isinstance(done.exception, UsageError)
+    assert "is not empty" in done.exception.message
+    assert [path.name for path in kept.parent.iterdir()] == ["captures.yaml"]

@@ -99,6 +99,20 @@ def test_hidden_and_filled_pixels_do_not_count(tmp_path: Path, rng: np.random.Ge
     np.testing.assert_allclose(depths.depth_std_m, 0.1 * depths.truth_m, rtol=1e-6)
 
 
+def test_a_capture_without_depth_counts_as_not_known(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Two captures, one of which was skipped: half of what both lenses see is known."""
+    rig = phone_rig(rng, hw=(4, 6))
+    truth_m = np.ones((4, 6), np.float32)
+    for name in ("000", "001"):
+        write_pfm(tmp_path / "captures" / name / "truth.pfm", rig.tele.K[0, 0] * rig.baseline_m / truth_m)
+        write_image(tmp_path / "truth" / "hidden" / f"{name}.png", np.zeros((4, 6), np.float32))
+    folder = tmp_path / "depth"
+    (folder / "000").mkdir(parents=True)
+    np.savez(folder / "000" / "depth.npz", depth_m=truth_m, depth_std_m=truth_m, valid=np.ones((4, 6), np.bool_))
+    depths = read_depths(tmp_path, DepthRun(folder, (DepthOutcome("000", (), (), {}),), ()), rig=rig)
+    assert judge_distance(depths, 1.0, gain=100.0)["known"] == 0.5
+
+
 def test_a_run_without_weights_is_refused(tmp_path: Path) -> None:
     assert [maker.name for maker in depth_makers(())] == ["sgm"]
     with pytest.raises(UsageError, match="no trained network"):
