@@ -157,7 +157,7 @@ def rectify(
         seconds_between: between the two exposures; None where nobody knows.
 
     Returns:
-        The corrected pair (``.corrected.pair``), its report and how it lies to the photos (``.alignment``).
+        The corrected pair (``.corrected.pair``), its report and its geometry to the photos (``.alignment``).
 
     Raises:
         InputError: the photos do not fit the rig or one another.

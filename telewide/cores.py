@@ -1,4 +1,4 @@
-"""What there is to compute on: devices by name, processor cores."""
+"""Devices to compute on: devices by name, processor cores."""
 
 from __future__ import annotations
 

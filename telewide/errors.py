@@ -72,7 +72,7 @@ def within_memory(what: str) -> Iterator[None]:
 
 
 def extra_hint(extra: str) -> str:
-    """What to do where an extra is not installed; telewide comes as a clone, not from a package index.
+    """Advice where an extra is not installed; telewide comes as a clone, not from a package index.
 
     Args:
         extra: its name in pyproject.toml.

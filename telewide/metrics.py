@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth: disparity errors and image quality.
+"""Errors of an estimate against the truth: disparity and image quality.
 
 Truth that is unknown is NaN and is left out. A mask says which pixels count; without one, all with known truth do.
 Shares are in [0, 1]. Letters: H W image.

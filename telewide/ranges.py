@@ -1,4 +1,4 @@
-"""How large the numbers may be that files state: sizes, lenses, disparities, seeds. What lies beyond is refused.
+"""Ranges of the numbers that files state: sizes, lenses, disparities, seeds. What lies beyond is refused.
 
 The limits lie far beyond what cameras have and far below what would ask for more memory than there is.
 """

@@ -19,7 +19,7 @@ DEFAULT_RECIPE = "default"
 
 
 class CorrectionOptions(Options):
-    """What is corrected between the two views before anything is matched."""
+    """Corrections between the two views before anything is matched."""
 
     vertical: bool = True
     """Fit and undo the rows' misfit of each shot, dy = a + b x + c y."""

@@ -278,6 +278,18 @@ def test_public_names_have_docstrings() -> None:
     assert len(docstring_findings(module_from_text("class A:\n    def f(self): ...\ndef g(): ...\ndef _h(): ..."))) == 4
 
 
+def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
+    def findings(module: Module) -> list[str]:
+        kinds = (ast.Module, ast.ClassDef, FunctionNode)
+        nodes = [node for node in ast.walk(module.tree) if isinstance(node, kinds)]
+        begun = [(node, (ast.get_docstring(node) or " ").split(" ")[0]) for node in nodes]  # type: ignore[arg-type]
+        questions = {"What", "Which", "How", "Who", "When", "Why"}
+        return [at(module, getattr(node, "lineno", 1), word) for node, word in begun if word in questions]
+
+    assert all_findings(findings) == []
+    assert findings(module_from_text('def f():\n    """What it does."""')) != []
+
+
 def test_signatures_are_typed_without_any() -> None:
     def findings(module: Module) -> list[str]:
         return [

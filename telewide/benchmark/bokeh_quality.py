@@ -1,4 +1,4 @@
-"""What an error of depth costs in the picture: bokeh of the estimated depth against that of the true one.
+"""Cost of an error of depth in the picture: bokeh of the estimated depth against that of the true one.
 
 Letters: H W image.
 """

@@ -1,4 +1,4 @@
-"""How well a map keeps the edges of depth, which decide over bokeh.
+"""Edges of depth in a map, which decide over bokeh, against the true ones.
 
 Depth boundary errors: Koch et al., Evaluation of CNN-based single-image depth estimation methods (ECCV workshops 2018).
 Boundary F1: Bochkovskii et al., Depth Pro: sharp monocular metric depth in less than a second (2024). Both need no
@@ -27,7 +27,7 @@ _LEAST_INVERSE_DEPTH = 1e-6
 
 @dataclass(frozen=True)
 class BoundaryErrors:
-    """How far edges are from where they should be.
+    """Distances of edges from where they should be.
 
     Attributes:
         accuracy_px: mean distance of the estimate's edges to the nearest true one, those beyond 10 px left out.

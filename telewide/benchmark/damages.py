@@ -41,7 +41,7 @@ _NOTHING = (0.0, 0.0)
 
 
 class Damage(Options):
-    """What a view suffers besides having fewer pixels."""
+    """Damage a view suffers besides having fewer pixels."""
 
     description: str = ""
     """A few words for people."""

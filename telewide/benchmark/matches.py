@@ -104,7 +104,7 @@ def benchmark_matches(
 
 
 def _suitable_rig(stated: Path | None, captures: CaptureSet, entrants: Sequence[Entrant]) -> StoredRig | None:
-    """What the captures are to be rectified with, where that leaves something to judge."""
+    """The rig to rectify the captures with, where that leaves something to judge."""
     rig = locate_rig(stated, captures)
     refuse_without_rig(captures, rig=rig)
     if rig is not None and not all(entrant.is_corrected for entrant in entrants):

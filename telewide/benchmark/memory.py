@@ -27,7 +27,7 @@ _STATUS = Path("/proc/self/status")
 
 @dataclass(frozen=True)
 class MemoryCase:
-    """What is measured.
+    """One inference to be measured.
 
     Attributes:
         matcher: sgm, or the name of a network.
@@ -46,7 +46,7 @@ class MemoryCase:
 
 @dataclass(frozen=True)
 class MemoryPeak:
-    """What one inference takes at its peak.
+    """Peak memory of one inference.
 
     Attributes:
         process_bytes: resident memory beyond that of the imports and the two views.

@@ -54,7 +54,7 @@ _FEW_SHOTS = (
 
 @dataclass(frozen=True)
 class MetresOptions:
-    """What is simulated.
+    """Options of the simulated captures.
 
     Attributes:
         captures: still lifes of each kind; three hold every distance.
@@ -271,6 +271,6 @@ def _calibrate(place: Path, *, seed: int) -> Path:
 
 
 def _depth(place: Path, maker: DepthMaker, *, out: Path, rig: Path, device: Device, observer: Observer) -> DepthRun:
-    """What ``telewide depth`` does."""
+    """Do what ``telewide depth`` does."""
     asked = DepthOptions(method=maker.method, weights=maker.weights, out=out, device=device, rig=rig)
     return depth_captures(place / "captures", run=place / "run", recipe=maker.recipe, options=asked, observer=observer)

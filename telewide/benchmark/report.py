@@ -1,4 +1,4 @@
-"""What a benchmark hands over: rows of numbers with the machine they come from, as JSON and as a Markdown table."""
+"""Results of a benchmark: rows of numbers with the machine they come from, as JSON and as a Markdown table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a disparity map is worth: shares of wrong pixels and mean error, by what the other view sees.
+"""Scores of a disparity map: shares of wrong pixels and mean error, by what the other view sees.
 
 Letters: H W image.
 """

@@ -1,4 +1,4 @@
-"""How fast each matcher is and how much memory it takes, all side by side in one run.
+"""Speed and memory of each matcher, all side by side in one run.
 
 A training step is timed on crops, inference on a picture of the size of the real pairs; both on a rendered pair.
 Letters: H W image.
@@ -31,7 +31,7 @@ _MIB = 1 << 20
 
 @dataclass(frozen=True)
 class SpeedOptions:
-    """What is timed, and how often.
+    """Options of the timing: what runs, and how often.
 
     Attributes:
         matchers: sgm and networks by name; empty for all.

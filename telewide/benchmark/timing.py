@@ -14,7 +14,7 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True)
 class Timing:
-    """How long one thing takes.
+    """Durations of one thing.
 
     Attributes:
         median_s: over the repeats.

@@ -72,7 +72,7 @@ class Board(Options):
 
     @property
     def n_corners(self) -> int:
-        """How many corners it has; ids run from 0 to this less 1."""
+        """Number of corners; ids run from 0 to this less 1."""
         if self.kind == "aruco_grid":
             return 4 * self.columns * self.rows
         inner = 0 if self.kind == "chessboard" else 1
@@ -80,7 +80,7 @@ class Board(Options):
 
     @property
     def n_markers(self) -> int:
-        """How many markers it has."""
+        """Number of markers."""
         if self.kind == "aruco_grid":
             return self.columns * self.rows
         return 0 if self.kind == "chessboard" else len(marker_squares(self))

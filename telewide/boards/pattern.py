@@ -1,4 +1,4 @@
-"""What is black on a board: rectangles in metres, for printing and for drawing.
+"""Pattern of a board, the black of it: rectangles in metres, for printing and for drawing.
 
 Pattern frame: x right, y down, the origin at the top left of the printed pattern (not at corner 0).
 Letters: n rectangles or cells.

@@ -28,7 +28,7 @@ _log = logging.getLogger("telewide")
 
 @dataclass(frozen=True)
 class PhotoResult:
-    """What came of one photo.
+    """Result of one photo.
 
     Attributes:
         view: the corners, or None where none were found.

@@ -1,4 +1,4 @@
-"""What EXIF says of board photos before any of them is decoded: which lens took it, and how the phone was held.
+"""EXIF of board photos, read before any of them is decoded: which lens took it, and how the phone was held.
 
 A rig is of two lenses, in the frame of photos that are all held alike. Near and in dim light phones give an enlarged
 piece of the wide photo as tele: such photos are set aside. Photos held otherwise than most are turned as their EXIF

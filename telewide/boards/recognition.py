@@ -1,4 +1,4 @@
-"""Which of the known boards do these photos show?
+"""Recognition of the known board that photos show.
 
 A few photos are enough, and reduced ones: only the pattern is asked for, not its exact place. Boards that differ in
 the size of their squares alone look the same in every photo, so all of them are named.
@@ -30,7 +30,7 @@ _GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 @dataclass(frozen=True)
 class RecognisedBoard:
-    """What the photos show.
+    """The known board that photos show.
 
     Attributes:
         name: of the board that explains most of them.

@@ -1,4 +1,4 @@
-"""What a picture is focused on: a point, the nearest or the farthest surface, or the subject in the middle.
+"""Focus of a picture: a point, the nearest or the farthest surface, or the subject in the middle.
 
 A surface is what lies within a slab of disparity; everything but a point is found from confident pixels alone.
 Letters: H W image.
@@ -31,7 +31,7 @@ _MIDDLE = 12
 
 @dataclass(frozen=True)
 class Focus:
-    """What is sharp.
+    """The place that is sharp.
 
     Attributes:
         disparity_px: of the plane of focus.

@@ -26,7 +26,7 @@ DEFAULT_STRENGTH_SHARE = 0.012
 
 @dataclass(frozen=True)
 class BokehOptions:
-    """How a bokeh picture is focused and how strongly it is blurred.
+    """Focus of a bokeh picture, and strength of its blur.
 
     Attributes:
         focus: "X,Y" in px of the tele photo, near, far or auto.

@@ -49,7 +49,7 @@ _CELLS = 8
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the checks look at.
+    """Figures the checks look at.
 
     Attributes:
         views: every view.
@@ -149,7 +149,7 @@ def _view_checks(evidence: Evidence) -> Iterator[Check]:
 
 
 def _left_out_advice(left_out: Sequence[ViewResult], *, n: int) -> str:
-    """What to do about views that disagree, and about those that could not even have taken part."""
+    """Advice on views that disagree, and about those that could not even have taken part."""
     sentences = []
     disagreeing = [view for view in left_out if view.is_fit]
     if disagreeing:

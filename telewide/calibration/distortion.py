@@ -99,7 +99,7 @@ def camera_of(lens: FloatArray, *, hw: tuple[int, int]) -> Camera:
 
 
 def n_coefficients(lens: FloatArray) -> int:
-    """How many of OpenCV's coefficients are needed to write a lens down: 0, 4, 5 or 8."""
+    """Number of OpenCV's coefficients that are needed to write a lens down: 0, 4, 5 or 8."""
     used = np.flatnonzero(lens[4:])
     return 0 if not len(used) else next(n for n in (4, 5, 8) if used[-1] < n)
 
@@ -114,7 +114,7 @@ def is_one_to_one(lens: FloatArray, *, hw: tuple[int, int]) -> bool:
 
 
 def prior_of_lens(hw: tuple[int, int], *, f_px: float) -> tuple[FloatArray, FloatArray]:
-    """What is believed of a lens before any photo: centre and standard deviation of a wide normal distribution.
+    """Prior of a lens before any photo: centre and standard deviation of a wide normal distribution.
 
     The principal point lies within a few hundredths of the width of the centre, pixels are nearly square, no radial
     coefficient alone moves the image's corner by much more than a tenth of its distance from the centre, and no

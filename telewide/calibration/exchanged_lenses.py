@@ -54,7 +54,7 @@ def refuse_exchanged(shots: Sequence[BoardShot], detected: Sequence[DetectedShot
 
 
 def _tele_over_wide(shot: DetectedShot) -> float | None:
-    """How much larger the board is in tele than in wide, each as a share of its photo's diagonal."""
+    """Ratio of the board's size in tele to that in wide, each as a share of its photo's diagonal."""
     if shot.tele is None or shot.wide is None:
         return None
     common = np.intersect1d(shot.tele.ids, shot.wide.ids)
@@ -83,7 +83,7 @@ def _others(tele: Path) -> str:
 
 
 def _places(shots: Sequence[BoardShot]) -> tuple[Path, Path]:
-    """What to rename: two folders, or the two files of the first shot that has both."""
+    """Names to exchange: two folders, or the two files of the first shot that has both."""
     for shot in shots:
         if shot.tele_path is not None and shot.wide_path is not None:
             is_by_lens = shot.tele_path.parent != shot.wide_path.parent

@@ -1,4 +1,4 @@
-"""How two known lenses stand to each other, and which of their photos contradict that.
+"""Pose of two known lenses to each other, and which of their photos contradict that.
 
 Letters: S shots; V views of a lens; J joint shots, seen by both lenses.
 """
@@ -22,7 +22,7 @@ _ROUNDS = 4
 
 @dataclass(frozen=True)
 class Agreement:
-    """Which views agree with a state.
+    """Views that agree with a state.
 
     Attributes:
         alone: for tele and wide, (S,) whether the view fits its lens alone; False without a view.

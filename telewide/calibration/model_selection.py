@@ -1,4 +1,4 @@
-"""Which distortion model a lens gets: the one that explains held-out views best, not the one that is usual.
+"""Selection of a lens's distortion model: the one that explains held-out views best, not the one that is usual.
 
 Letters: S shots; G = 30 shared numbers, see `problem`.
 """

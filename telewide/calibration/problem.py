@@ -1,4 +1,4 @@
-"""What was seen of a board, and a guess of everything behind it.
+"""Sightings of a board, and a guess of everything behind them.
 
 The numbers all shots share are two lenses (12 numbers each, see `distortion`) and the rig: a turn about the wide
 camera's axes and a translation. Letters: S shots; V views of a lens; N corners of the board.
@@ -86,7 +86,7 @@ class State:
 
 @dataclass(frozen=True)
 class Problem:
-    """What was seen, how exactly, and what is believed beforehand.
+    """Sightings, how exact they are, and what is believed beforehand.
 
     Attributes:
         board_m: (N, 3) corners by id.

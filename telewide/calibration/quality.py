@@ -1,4 +1,4 @@
-"""What a calibration is worth: figures, checks with advice, a verdict.
+"""Quality of a calibration: figures, checks with advice, a verdict.
 
 Epipolar errors are distances, in tele pixels, between a corner in the tele photo and the line on which the wide photo
 and the rig say it lies; held-out ones come from rigs that were solved without that shot.
@@ -43,18 +43,18 @@ class Check:
 
     @property
     def found_words(self) -> str:
-        """What was found, with its unit: "0.12 tele px"."""
+        """Words for what was found, with its unit: "0.12 tele px"."""
         return _with_unit(self.value, self.unit) if math.isfinite(self.value) else "unknown"
 
     @property
     def limit_words(self) -> str:
-        """What passes, with its unit: "at most 0.3 tele px"."""
+        """Words for what passes, with its unit: "at most 0.3 tele px"."""
         return f"{self.bound or 'limit'} {_with_unit(self.limit, self.unit)}" if math.isfinite(self.limit) else ""
 
 
 @dataclass(frozen=True)
 class CalibrationQuality:
-    """How good a calibration is.
+    """Figures of a calibration's quality.
 
     Attributes:
         tele_rms_px: RMS distance of corner and reprojection over the used tele views, tele px.

@@ -1,4 +1,4 @@
-"""What a calibration returns: the rig, how sure every number is, and what every photo had to do with it.
+"""Result of a calibration: the rig, how sure every number is, and what every photo had to do with it.
 
 Standard deviations are one sigma. Board poses are ``tele_from_board``, metres. Letters: N corners seen in a view.
 """

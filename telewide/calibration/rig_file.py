@@ -37,7 +37,7 @@ _HEADER = """\
 
 @dataclass(frozen=True)
 class RigFacts:
-    """What is known about how a rig was made.
+    """Facts about how a rig was made.
 
     Attributes:
         image_pipeline: identity of what made the pictures from the sensor; None where unknown.

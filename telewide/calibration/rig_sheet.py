@@ -1,4 +1,4 @@
-"""What a ``rig.yaml`` may say, key by key."""
+"""Schema of a ``rig.yaml``, key by key."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class CheckSheet(Options):
 
 
 class QualitySheet(Options):
-    """What the calibration is worth."""
+    """Quality of the calibration."""
 
     verdict: Verdict
     tele_rms_px: Deviation | None

@@ -1,4 +1,4 @@
-"""What a rig from scenes is worth: it judges captures that it was solved without, and asks what no match can show.
+"""Quality of a rig from scenes: it judges captures that it was solved without, and asks what no match can show.
 
 Errors are distances from the row, tele px, each capture's own correction on top, mismatches left out.
 Letters: S captures, N matches of one capture.
@@ -64,7 +64,7 @@ _SIDE_CHECKS: dict[SideSource, tuple[Status, str]] = {
 
 @dataclass(frozen=True)
 class SceneEvidence:
-    """What a rig from scenes is judged by.
+    """Evidence that a rig from scenes is judged by.
 
     Attributes:
         whole: the rig from all captures.

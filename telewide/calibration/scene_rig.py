@@ -1,4 +1,4 @@
-"""What a rig from scenes is: the rig, how sure each part of it is, and what was known before and besides.
+"""Rig from scenes: the rig, how sure each part of it is, and what was known before and besides.
 
 Sides are those of the tele photo, held upright: wide stands to the right of tele where its centre has x > 0 in tele's
 frame.
@@ -32,7 +32,7 @@ _STATED_BASELINE_STD_SHARE = 0.01
 
 @dataclass(frozen=True)
 class FocalPrior:
-    """What is known of the focal lengths before any match is looked at.
+    """Knowledge of the focal lengths before any match is looked at.
 
     35 mm equivalents are whole millimetres, which is 1 % of a wide lens and a third of that of a tele; some makers take
     them by the photo's width and not its diagonal, and lenses differ. A wider prior lets a few captures with little
@@ -105,7 +105,7 @@ class SceneRig:
 
     @property
     def tele_f_contradiction(self) -> float:
-        """How far tele's focal length lies from what was known before, in standard deviations of both together."""
+        """Distance of tele's focal length from what was known before, in standard deviations of both together."""
         moved = math.log(self.rig.tele.f_px / self.focal.tele_f_px)
         return abs(moved) / math.hypot(self.focal.tele_std_share, self.std.tele_f_share)
 
@@ -126,7 +126,7 @@ def stated_baseline_std_m(baseline_m: float) -> float:
 
 
 def scene_notes(found: SceneRig) -> Iterator[str]:
-    """What a person should know of a rig from scenes, one sentence each."""
+    """Give what a person should know of a rig from scenes, one sentence each."""
     if found.side_source == "guessed":
         yield (
             f"wide is taken to stand {place_words(found.wide_side)} tele, a guess: if near and far come out "

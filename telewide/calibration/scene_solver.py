@@ -62,7 +62,7 @@ _AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0)
 
 @dataclass(frozen=True)
 class _Scenes:
-    """What the solution is fitted to: matches of all captures in a row, photo sizes, priors.
+    """Data the solution is fitted to: matches of all captures in a row, photo sizes, priors.
 
     Attributes:
         matches: N of all captures.
@@ -331,7 +331,7 @@ def _radial(k1: float) -> FloatArray:
 
 
 def _undistorted(points_px: FloatArray, camera: Camera) -> FloatArray:
-    """What ``Camera.normalised`` gives of a lens with k1 alone, fast: ``x = x_d / (1 + k1 |x|^2)``."""
+    """Do what ``Camera.normalised`` does for a lens with k1 alone, fast: ``x = x_d / (1 + k1 |x|^2)``."""
     distorted = (points_px - camera.K[:2, 2]) / np.diag(camera.K)[:2]
     points = distorted
     for _ in range(_UNDISTORTION_STEPS):

@@ -1,4 +1,4 @@
-"""How sure a bundle adjustment is of every shared number.
+"""Uncertainty of every shared number after a bundle adjustment.
 
 The covariance is the inverse of the normal equations, board poses eliminated, at the noise that the robust fit saw.
 Real corners are not independent: a bent board or a blurred photo shifts all corners of a view together. How much more

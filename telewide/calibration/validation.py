@@ -1,4 +1,4 @@
-"""What a calibration is worth on photos it was not made from.
+"""Validation of a calibration on photos it was not made from.
 
 Letters: J joint shots; N corners; (h, w) a grid over the tele photo.
 """
@@ -95,7 +95,7 @@ def tele_grid_px(camera: Camera, *, grid_hw: tuple[int, int]) -> FloatArray:
 
 
 def difference_px(first: StereoRig, second: StereoRig, *, distance_m: float, grid_hw: tuple[int, int]) -> FloatArray:
-    """How differently two rigs carry points of the tele photo to the wide photo.
+    """Difference in how two rigs carry points of the tele photo to the wide photo.
 
     Args:
         first: a rig.

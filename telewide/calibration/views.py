@@ -1,4 +1,4 @@
-"""What every photo had to do with a calibration, for the report.
+"""Part of every photo in a calibration, for the report.
 
 Letters: S shots; N corners seen in a view.
 """

@@ -1,1 +1,1 @@
-"""What comes in: photos, capture folders, data sets, the run folder."""
+"""Input: photos, capture folders, data sets, the run folder."""

@@ -1,4 +1,4 @@
-"""What a photo's EXIF says: which lens took it, when, and how (CIPA DC-008).
+"""EXIF of a photo: which lens took it, when, and how (CIPA DC-008).
 
 A lens is known by FocalLength, the physical one: LensModel has several spellings for one lens, and
 FocalLengthIn35mmFilm includes digital crop. Numbers no camera has are taken as not stated.
@@ -44,7 +44,7 @@ Tags = Mapping[int, object]
 
 @dataclass(frozen=True)
 class PhotoFacts:
-    """What a photo states about itself; None where it says nothing believable.
+    """Facts that a photo states about itself; None where it says nothing believable.
 
     Attributes:
         kind: "raw", "jpeg" (WebP, HEIC and AVIF too: the same processing in the phone), "tiff" or "png".

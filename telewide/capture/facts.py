@@ -1,4 +1,4 @@
-"""What the owner of a capture folder states about all its captures: the file ``captures.yaml`` (or ``.yml``).
+"""Facts that the owner of a capture folder states about all its captures: the file ``captures.yaml`` (or ``.yml``).
 
 Example::
 

@@ -1,4 +1,4 @@
-"""Which photo format a file has, and its bytes.
+"""Format of a photo file, and its bytes.
 
 The content decides before the suffix does: phones hand out JPEGs named .heic. What TIFF-like content is (a TIFF, a DNG,
 another RAW) is told by the suffix and the tag DNGVersion.

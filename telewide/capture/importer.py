@@ -60,7 +60,7 @@ class PlannedPair:
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """What an import would do.
+    """Plan of an import.
 
     Attributes:
         pairs: to be imported.

@@ -65,7 +65,7 @@ class Capture:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with one capture.
+    """Fault of one capture.
 
     Attributes:
         name: of the capture.

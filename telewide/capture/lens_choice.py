@@ -1,4 +1,4 @@
-"""Which two of a phone's lenses make the pairs of a camera roll.
+"""Choice of the two lenses that make the pairs of a camera roll.
 
 A phone with four lenses offers six choices. The wide photo should be of the main lens, which is the best one and whose
 picture holds that of every longer lens; and tele should see enough of it.
@@ -28,7 +28,7 @@ _SAME_CHOICE = 0.05
 
 @dataclass(frozen=True)
 class LensChoice:
-    """Which lenses to pair; None leaves it to the photos.
+    """Lenses to pair; None leaves it to the photos.
 
     Attributes:
         tele_mm: FocalLength of tele.
@@ -57,7 +57,7 @@ class LensPair:
 
     @property
     def ratio(self) -> float | None:
-        """How much more wide sees, by the 35 mm equivalents; None where they are not stated."""
+        """Ratio of what wide sees to what tele sees, by the 35 mm equivalents; None where they are not stated."""
         return self.tele.f35_mm / self.wide.f35_mm if self.tele.f35_mm and self.wide.f35_mm else None
 
 

@@ -1,4 +1,4 @@
-"""Which lens took a photo, and whether a photo from "tele" is only an enlarged piece of wide.
+"""Lens that took a photo, and whether a photo from "tele" is only an enlarged piece of wide.
 
 Phones answer "2x" with a crop of the wide lens where tele cannot focus or it is dark. Its FocalLength gives it away,
 and its 35 mm equivalent: for one lens f35 / f is constant, and a digital crop raises it.

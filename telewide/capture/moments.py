@@ -1,4 +1,4 @@
-"""When photos were taken, and which of two series are nearest to each other in time.
+"""Times at which photos were taken, and which of two series are nearest to each other in time.
 
 Letters: N, M photos of the two series.
 """

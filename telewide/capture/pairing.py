@@ -1,4 +1,4 @@
-"""Which photos of a camera roll show one scene through tele and wide.
+"""Pairing of the photos of a camera roll that show one scene through tele and wide.
 
 Photos are told apart by maker, model and FocalLength; of the two lenses chosen, each photo goes with the photo nearest
 in time, if that one's nearest is it. Every other photo gets a reason.
@@ -57,7 +57,7 @@ class RollPair:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What its owner should know of it."""
+        """Sentences its owner should know."""
         tele, wide = self.tele.facts, self.wide.facts
         is_turned = tele.hw and wide.hw and (tele.hw[0] > tele.hw[1]) != (wide.hw[0] > wide.hw[1])
         notes = ["one is upright, the other lies on its side"] if is_turned else []
@@ -81,7 +81,7 @@ class Unpaired:
 
 @dataclass(frozen=True)
 class PairedRoll:
-    """What became of the photos of a camera roll.
+    """Pairs of a camera roll, and the photos left over.
 
     Attributes:
         pairs: in the order of time.

@@ -70,7 +70,7 @@ class RawPhoto:
 
 @dataclass(frozen=True)
 class _DngFacts:
-    """What LibRaw does not carry out: opcodes by list, crop (top, left, height, width), exposure."""
+    """Facts of a DNG that LibRaw does not carry out: opcodes by list, crop (top, left, height, width), exposure."""
 
     opcodes: dict[int, tuple[Opcode, ...]]
     crop: tuple[int, int, int, int] | None

@@ -1,4 +1,4 @@
-"""How large a photo may be, and in which size it is read.
+"""Sizes of photos: the largest, and the one each is read in.
 
 Phones make up to 200 megapixels. A larger size than `MAX_PIXELS` is taken for a damaged or malicious header and refused
 before anything is decoded. A photo of more than `MAX_WHOLE_PIXELS` is read at half its size, to keep memory bounded;

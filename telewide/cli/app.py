@@ -119,7 +119,7 @@ def _perhaps_unread(stream: TextIO) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Failure:
-    """Why a command did not do what it was asked for; what ``--json`` prints instead of an answer."""
+    """Reason why a command did not do what it was asked for; what ``--json`` prints instead of an answer."""
 
     error: str
     hint: str | None

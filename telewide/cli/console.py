@@ -1,4 +1,4 @@
-"""What the commands show at a console: the progress of a pipeline, bars, and answers in JSON."""
+"""Console output of the commands: the progress of a pipeline, bars, and answers in JSON."""
 
 from __future__ import annotations
 

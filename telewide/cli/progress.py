@@ -1,4 +1,4 @@
-"""What a person sees while a command works: a bar on a terminal, a line now and then elsewhere.
+"""Progress of a command as a person sees it: a bar on a terminal, a line now and then elsewhere.
 
 Everything here goes to standard error; standard output is for answers.
 """

@@ -67,13 +67,13 @@ class BlurEstimate:
 
     @property
     def factor(self) -> float:
-        """How many times fewer pixels, enlarged again, blur as much; 1 or more."""
+        """Factor by which fewer pixels, enlarged again, blur as much; 1 or more."""
         return factor_from_sigma(self.mean_sigma_px)
 
 
 @dataclass(frozen=True)
 class DamageRange:
-    """What a rehearsal may do to a sharp view so that it looks like the measured ones.
+    """Range of what a rehearsal may do to a sharp view so that it looks like the measured ones.
 
     Attributes:
         factor: least and largest factor of fewer pixels.

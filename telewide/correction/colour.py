@@ -46,7 +46,7 @@ _LEAST_UNCLIPPED = 0.9
 
 @dataclass(frozen=True)
 class ColourFit:
-    """How src's colours become ref's, and what that is worth.
+    """Fit that makes src's colours ref's, and its worth.
 
     Attributes:
         model: what is applied.

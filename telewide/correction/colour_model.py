@@ -1,4 +1,4 @@
-"""What one camera's colours are to another's: mixing in linear light, local brightness, and a curve on top.
+"""Model of one camera's colours by another's: mixing in linear light, local brightness, and a curve on top.
 
 ``light = (mixing @ terms(src)) * exp(shading @ places(x, y))``, ``out = v + tone(v)``, ``v`` encoded light. The
 terms are R G B, or with them the roots of their products (root-polynomial of degree 2, Finlayson, Mackiewicz and
@@ -27,7 +27,7 @@ _STRIP_PX = 1 << 18
 
 @dataclass(frozen=True)
 class ColourModel:
-    """How src's colours become ref's.
+    """Model that makes src's colours ref's.
 
     Attributes:
         mixing: (3, K) rows for R G B of ref, of the terms of src, in linear light.
@@ -169,7 +169,7 @@ def place_terms(place: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class _Prior:
-    """Which parameters move, and how strongly the moved ones are drawn back, per sample and in encoded units."""
+    """Parameters that move, and how strongly the moved ones are drawn back, per sample and in encoded units."""
 
     is_free: NDArray[np.bool_]
     weight: FloatArray

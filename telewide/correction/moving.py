@@ -1,4 +1,4 @@
-"""What moved in the scene between two photos that were not taken at once.
+"""Regions of the scene that moved between two photos that were not taken at once.
 
 A match of something that moved leaves the rows on which the rig says it lies. Wrong matches do too, but each in its own
 way; what moved does so together. Motion along the baseline looks like depth, and is not seen.

@@ -174,7 +174,7 @@ def _is_across(centre: FloatArray) -> bool:
 
 
 def _starts(misfit_px: Residuals, *, seed: int, unit_px: float) -> list[FloatArray]:
-    """What most matches agree with, for directions at the rig's and around it: the best three, to begin from."""
+    """Fits that most matches agree with, for directions at the rig's and around it: the best three, to begin from."""
     prior_std = _PRIOR_STD[:4]
     starts, costs = [], []
     for away_rad, turn_rad in [(0.0, 0.0), *((np.radians(a), np.radians(t)) for a in _AWAY_DEG for t in _TURNS_DEG)]:

@@ -1,4 +1,4 @@
-"""What autofocus and stabilisation moved since the calibration, shot by shot, on top of a rig.
+"""Refinement of a rig for one shot: what autofocus and stabilisation moved since the calibration.
 
 The wide is said to have moved, tele stays: its principal point across the baseline, a turn, its focal length. Vertical
 means across the baseline: along y of the frame in which both views are rectified, whose x points from tele to wide.

@@ -1,4 +1,4 @@
-"""What moved between calibration and this shot: the vertical misfit that is left, fitted and taken out.
+"""Rows of the two views: the vertical misfit left in this shot, fitted and taken out.
 
 Focus breathing and image stabilisation leave ``vertical_px = y_ref - y_src = a + b (x_src - cx) + c (y_ref - cy)``: an
 offset, a roll, a change of scale. Written in x of src and y of ref, the law is the resampling map itself, without an

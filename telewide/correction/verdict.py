@@ -51,7 +51,7 @@ _VERDICTS: tuple[Verdict, ...] = ("good", "usable", "doubtful", "refused")
 
 @dataclass(frozen=True)
 class PairReport:
-    """What was measured on one pair.
+    """Measurements of one pair, and a verdict.
 
     Attributes:
         name: name of the capture.
@@ -265,7 +265,7 @@ def _findings_of_rows(
 
 
 def _findings_of_overlap(overlap: Overlap, *, height: int) -> list[_Finding]:
-    """What a free similarity between the views says against a rectified pair."""
+    """Findings of a free similarity between the views against a rectified pair."""
     seen = f"{overlap.n} matches show"
     if abs(overlap.rotation_deg) > _ROTATION_TOLERANCE_DEG:
         return [_Finding("refused", f"{seen} one view turned by {overlap.rotation_deg:.0f} deg against the other")]

@@ -32,7 +32,7 @@ _PNG_LARGEST = 65535
 
 @dataclass(frozen=True)
 class WrittenDepth:
-    """What was written for one capture.
+    """Files written for one capture.
 
     Attributes:
         paths: of the files, in the order they were written.

@@ -44,7 +44,7 @@ class KnownDistance:
 
 @dataclass(frozen=True)
 class DistancePin:
-    """What a known distance says of a rectified pair.
+    """Pin of a rectified pair to a known distance.
 
     Attributes:
         doffs_px: ``cx_src - cx_ref`` that makes the point's depth true, px of the rectified views.
@@ -63,7 +63,7 @@ class DistancePin:
 
 @dataclass(frozen=True)
 class ScalePin:
-    """What a known distance says of the scale.
+    """Scale by a known distance.
 
     Attributes:
         baseline_m: distance of the lenses.

@@ -1,4 +1,4 @@
-"""How far off a depth in metres may be, from what is known of the disparity, the rig and this shot.
+"""Precision of a depth in metres, from what is known of the disparity, the rig and this shot.
 
 ``z = f B / d`` with ``d`` the disparity, in px of a map without doffs (or ``disparity_px + doffs_px``). With
 independent errors (standard deviations s), to first order but for that of d, which is taken to the next order of
@@ -38,7 +38,7 @@ _USUAL_WEIGHT = 3.0  # as many shots the usual spread counts for
 
 @dataclass(frozen=True)
 class DepthPrecision:
-    """What all depths of one shot share; the default is an exact rig that nothing moved.
+    """Deviations that all depths of one shot share; the default is an exact rig that nothing moved.
 
     Attributes:
         baseline_std_m: of the distance of the lenses.

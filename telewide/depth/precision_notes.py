@@ -1,4 +1,4 @@
-"""What a capture's metres are worth, in words: how far away something is, how sure that is, and what pinned it."""
+"""Precision of a capture's metres, in words: how far away something is, how sure that is, and what pinned it."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def away_words(depth_m: float, std_m: float | None) -> str:
 def _rig_words(
     alone: DistancePin, known: KnownDistance, *, geometry: RectifiedGeometry, precision: DepthPrecision
 ) -> str:
-    """What the rig said of the point: "0.30 ± 0.19 m"."""
+    """Words for what the rig said of the point: "0.30 ± 0.19 m"."""
     if alone.seen_px <= 0:
         return "that it is beyond infinity"
     distance_m = known.distance_m * (alone.seen_px + alone.correction_px) / alone.seen_px

@@ -1,4 +1,4 @@
-"""What is known of one capture once its disparity is: the map, the camera and, where the scale is known, metres.
+"""Result of one capture once its disparity is known: the map, the camera and, where the scale is known, metres.
 
 ``depth_m = f_px * baseline_m / (disparity_px + doffs_px)``, z along ref's optical axis, on the photo as it was given.
 Nothing is invented: without a focal length there is no K, without a baseline no depth in metres.
@@ -118,7 +118,7 @@ def depth_result_of_rig(
 
 
 def _in_front(disparity: DisparityMap, depth_m: FloatMap) -> DisparityMap:
-    """What seems to lie beyond infinity was mismatched, or the lens had shifted: it was not measured."""
+    """Mark as not measured what seems to lie beyond infinity: it was mismatched, or the lens had shifted."""
     return replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
 
 

@@ -1,4 +1,4 @@
-"""What resizing and cropping do to pixels and to the camera matrix.
+"""Resizing and cropping of pixel positions and of the camera matrix.
 
 Pixel (0, 0) is the centre of the top-left pixel, so resizing by s maps ``x' = (x + 0.5) s - 0.5``: the principal point
 moves like any other point, the focal length scales by s, and the skew entry scales with x.

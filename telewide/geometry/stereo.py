@@ -17,7 +17,7 @@ from telewide.geometry.arrays import BoolMap, FloatMap
 
 @dataclass(frozen=True)
 class DisparityMap:
-    """What a matcher says of the reference view.
+    """Answer of a matcher for the reference view.
 
     Attributes:
         disparity_px: (H, W) float32, ``x_ref - x_src``; filled everywhere, also where nothing could be matched.

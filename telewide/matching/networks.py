@@ -43,7 +43,7 @@ LITE_CONTEXT_PX = 128
 
 @dataclass(frozen=True)
 class NetworkOutput:
-    """What a network says of ref.
+    """Output of a network for ref.
 
     Attributes:
         disparities_px: (B, H, W) each, coarse to fine; the last is the result.

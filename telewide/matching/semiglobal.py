@@ -138,7 +138,7 @@ def _overlap(disparity_px: int, *, width: int) -> tuple[slice, slice]:
 
 
 def _census(image: FloatMap) -> ByteImage:
-    """Which of eight pixels around each are brighter, a bit for each.
+    """Census of eight pixels around each: a bit for each that is brighter.
 
     Source: R. Zabih, J. Woodfill, "Non-parametric Local Transforms for Computing Visual Correspondence", ECCV 1994.
     """

@@ -1,4 +1,4 @@
-"""What errors of disparity cost at a few distances, as a table for the pages about a rig."""
+"""Cost of errors of disparity at a few distances, as a table for the pages about a rig."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def coverage_figures(calibration: Calibration) -> str:
 
 
 def residual_figures(calibration: Calibration) -> str:
-    """What the rig does not explain, corner by corner, for each lens."""
+    """Draw what the rig does not explain, corner by corner, for each lens."""
     return _per_lens(calibration, _residual_figure)
 
 
@@ -59,7 +59,7 @@ def view_figures(calibration: Calibration) -> str:
 
 
 def cross_validation_figures(calibration: Calibration) -> str:
-    """How differently the odd and the even photos place things: each lens alone, and from tele to wide."""
+    """Draw how differently the odd and the even photos place things: each lens alone, and from tele to wide."""
     if calibration.half_rigs is None:
         return ""
     odd, even = calibration.half_rigs
@@ -111,12 +111,12 @@ def epipolar_bars(quality: CalibrationQuality, *, caption: str) -> str:
 
 
 def epipolar_limit_px(quality: CalibrationQuality) -> float | None:
-    """What 90 % of the held-out row errors are to stay below, tele px; None where no check says."""
+    """Limit that 90 % of the held-out row errors are to stay below, tele px; None where no check says."""
     return next((check.limit for check in quality.checks if "epipolar" in check.name), None)
 
 
 def depth_figure(calibration: Calibration) -> str:
-    """What errors of disparity cost at each distance, as a curve and a table."""
+    """Draw what errors of disparity cost at each distance, as a curve and a table."""
     rig, quality = calibration.rig, calibration.quality
     if not rig.is_scale_known:
         return "<p>Without the size of the board there is no depth in metres.</p>"
@@ -211,7 +211,7 @@ def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str
 
 
 def _calibration_std_px(quality: CalibrationQuality) -> float:
-    """What the calibration itself may be off by along a row, tele px; 0 where nothing says so.
+    """Deviation of the calibration itself along a row, tele px; 0 where nothing says so.
 
     The rig from all photos is half as uncertain as the difference of two from half of them each, of which one of two
     directions is along the row.

@@ -16,7 +16,7 @@ _LONGER_SIDE_CELLS = 32
 
 
 def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
-    """How differently two solves of one lens see the world, over its photo.
+    """Difference between two solves of one lens, over its photo.
 
     A turn of the whole camera is taken out first: the boards' poses would absorb it, so it is no difference. The rays
     of both solves are turned onto each other (W. Kabsch, "A solution for the best rotation to relate two sets of
@@ -40,7 +40,7 @@ def camera_difference_px(first: Camera, second: Camera) -> FloatArray:
 
 
 def transfer_difference_px(first: StereoRig, second: StereoRig, *, distance_m: float) -> FloatArray:
-    """How differently two rigs carry a point from the tele photo to the wide photo, over the tele photo.
+    """Difference in how two rigs carry a point from the tele photo to the wide photo, over the tele photo.
 
     Args:
         first: one solve.
@@ -73,7 +73,7 @@ def tele_outline_px(rig: StereoRig) -> FloatArray:
 
 
 def depth_error_m(depth_m: FloatArray, rig: StereoRig, *, disparity_std_px: float) -> FloatArray:
-    """What an error of disparity costs: ``sigma_z = z^2 sigma_d / (f B)``.
+    """Error of depth from an error of disparity: ``sigma_z = z^2 sigma_d / (f B)``.
 
     Args:
         depth_m: distances, m.

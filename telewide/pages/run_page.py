@@ -76,7 +76,7 @@ def write_page(
 
 
 def next_steps(run: RunFolder, *, recipe: Recipe, captures: Path, rig: Path | None) -> tuple[NextStep, ...]:
-    """What to do after a run, each with a command that can be pasted into a shell.
+    """Steps to take after a run, each with a command that can be pasted into a shell.
 
     Args:
         run: its folder.

@@ -1,4 +1,4 @@
-"""What depth costs with a rig from scenes, at each distance: with the zero of disparity as unsure as it is, and pinned.
+"""Errors of depth with a rig from scenes, at each distance: with the zero of disparity as unsure as it is, and pinned.
 
 ``sigma_z / z = z sigma_d / (f B)``; distances are metres, or baselines where nobody stated how long the baseline is.
 """

@@ -170,7 +170,7 @@ def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
 
 
 def _focal_words(found: SceneRig) -> str:
-    """What the focal lengths rest on, by the same figure that their check goes by."""
+    """Words for what the focal lengths rest on, by the same figure that their check goes by."""
     if found.tele_f_contradiction <= CONTRADICTIONS[0]:
         return "EXIF or as stated; matches hardly show it"
     return (

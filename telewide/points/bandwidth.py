@@ -1,4 +1,4 @@
-"""How many times finer one view resolves the scene than another, read off their spectra.
+"""Bandwidth of two views: how many times finer one resolves the scene, read off their spectra.
 
 Two rectified views of one scene hold the same power at coarse scales. Their amplitude ratio ``T(f) = |SRC| / |REF|``,
 1 at low frequencies, falls where src's optics and sampling give out. A view enlarged by a factor ``s`` loses half of

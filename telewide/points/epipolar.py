@@ -1,4 +1,4 @@
-"""How far matches of two photos lie from the rows of a rig: the vertical misfit after an ideal rectification.
+"""Epipolar misfit of matches of two photos, off the rows of a rig: the vertical misfit after an ideal rectification.
 
 The rectified frame is that of :mod:`telewide.geometry.rectification`, x from tele to wide; both views are thought at
 tele's focal length, so that a misfit is in tele's pixels; ``vertical_px = y_tele - y_wide``.

@@ -198,7 +198,7 @@ def _candidates(
 
 
 def _is_best(similarity: NDArray[np.float32], group: NDArray[np.intp], xy_px: FloatArray) -> BoolArray:
-    """Which pairs are the best of their group and pass Lowe's ratio test against the best point elsewhere.
+    """Mask of the pairs that are the best of their group and pass Lowe's ratio test against the best point elsewhere.
 
     Unit vectors: squared distance = 2 - 2 similarity.
     """

@@ -131,7 +131,7 @@ def cut_patches(ref: FloatImage, src: FloatImage, patches: Patches) -> tuple[Flo
 
 
 def _smooth_triangles(corners: NDArray[np.intp], matches: Matches, *, max_edge_px: float) -> NDArray[np.bool_]:
-    """Which triangles are small and flat enough to hold no jump."""
+    """Mask of the triangles that are small and flat enough to hold no jump."""
     shift_px = (matches.ref_px - matches.src_px)[corners]
     spread_px = np.ptp(shift_px, axis=1).max(axis=1)
     edge_px = np.linalg.norm(matches.ref_px[corners] - matches.ref_px[np.roll(corners, 1, axis=1)], axis=2).max(axis=1)

@@ -54,7 +54,7 @@ class RobustFit:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is minimised: residuals and their derivative, priors in px, and the scale of the loss."""
+    """Problem to be minimised: residuals and their derivative, priors in px, and the scale of the loss."""
 
     residuals: Residuals
     jacobian: Jacobian

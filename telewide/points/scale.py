@@ -1,4 +1,4 @@
-"""How much larger tele shows the scene than wide: a robust similarity from matches of the photos as captured.
+"""Scale of the scene in tele over that in wide: a robust similarity from matches of the photos as captured.
 
 Nothing is known beforehand: neither how the photos are turned nor where wide shows what tele sees. A first look on
 small pictures finds the place; a second one, with tele shrunk to wide's own scale, measures. Parallax spreads points
@@ -35,7 +35,7 @@ _SOFT = 2.0
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """How tele's scene lies in wide.
+    """Place of tele's scene in wide.
 
     Attributes:
         factor: size of the scene in tele over that in wide, px over px.

@@ -1,4 +1,4 @@
-"""How one view lies in the other when nothing is known: a free similarity from matches of any scale and angle.
+"""Similarity of two views when nothing is known: a free similarity from matches of any scale and angle.
 
 Asked only where a pair that should be rectified has few matches along its rows, to say why.
 Convention: ``p_src = scale * R(rotation) p_ref + shift``; a scale above 1 shows the scene larger in src.

@@ -1,4 +1,4 @@
-"""What a restorer learns from: crops of sharp pictures, and the same shrunken as the restorer assumes.
+"""Crops that a restorer learns from: crops of sharp pictures, and the same shrunken as the restorer assumes.
 
 Every batch is a function of (seed, step) alone. Letters: B batch, C channels, H W crop.
 """

@@ -22,7 +22,7 @@ KERNELS_OF_COMPONENTS = 3000
 
 @dataclass(frozen=True)
 class KernelRange:
-    """Which Gaussian blurs may come.
+    """Range of Gaussian blurs.
 
     Attributes:
         sigma_px: least and largest standard deviation, px of the large picture.

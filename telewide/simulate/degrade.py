@@ -1,4 +1,4 @@
-"""What a second, worse camera does to a picture: it moves, blurs, darkens, shrinks, adds noise, compresses and tints.
+"""Damage by a second, worse camera to a picture: it moves, blurs, darkens, shrinks, adds noise, compresses and tints.
 
 The order is that of a phone: lens (vertical shift, blur, dark corners), sensor (fewer pixels, noise), storage (JPEG at
 the sensor's own size), colour processing. What remains is enlarged back to the size of the sharp view, as a reader of

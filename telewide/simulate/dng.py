@@ -43,7 +43,7 @@ _XYZ_FROM_SRGB = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [
 
 @dataclass(frozen=True)
 class ExifFacts:
-    """What a phone notes beside a photo.
+    """Notes of a phone beside a photo.
 
     Attributes:
         make: of the phone.

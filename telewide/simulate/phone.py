@@ -120,7 +120,7 @@ def write_phone(
 
 
 def rig_truth(rig: StereoRig) -> dict[str, object]:
-    """What ``truth/rig.json`` says of a phone at rest."""
+    """Content of ``truth/rig.json`` for a phone at rest."""
     return {
         "baseline_m": rig.baseline_m,
         "f_tele_px": rig.tele.f_px,
@@ -202,7 +202,7 @@ def _write_still_life(
 
 
 def randomly_moved(rng: np.random.Generator, rig: StereoRig) -> StereoRig:
-    """What a shot does to a rig: stabilisation shifts wide in its picture plane, focus changes its focal length."""
+    """Move a rig as a shot does: stabilisation shifts wide in its picture plane, focus changes its focal length."""
     K = rig.wide.K.copy()
     K[:2, :2] *= 1 + rng.normal(0, 0.002)
     K[:2, 2] += rng.normal(0, 0.0004, 2) * rig.wide.hw[1]

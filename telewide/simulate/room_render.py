@@ -120,7 +120,7 @@ class RoomTracer:
         return np.where(np.isfinite(found), found, np.float32(np.nan)).astype(np.float32)
 
     def is_hidden(self, rig: StereoRig, world_from_tele: FloatArray, *, depth_m: FloatMap) -> NDArray[np.bool_]:
-        """What tele sees and wide does not: something stands before it, or its photo ends.
+        """Mask of what tele sees and wide does not: something stands before it, or its photo ends.
 
         Args:
             rig: both cameras.

@@ -1,4 +1,4 @@
-"""What a simulated room is made of: solids with a painted surface, and lights.
+"""Simulated room: solids with a painted surface, and lights.
 
 World frame: x right, y down, z forward, level; the phone hangs near the origin and looks forward. A solid is a unit
 shape and the transform that places it: ``cube`` fills -1 to 1, ``rectangle`` lies in its plane z = 0 from -1 to 1,
@@ -56,7 +56,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Room:
-    """What can be photographed.
+    """A room that can be photographed.
 
     Attributes:
         solids: in any order.

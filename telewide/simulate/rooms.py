@@ -58,7 +58,7 @@ _WHITE_SHARE = 0.97
 
 @dataclass(frozen=True)
 class RoomShots:
-    """How rooms are photographed.
+    """Options of photographs of rooms.
 
     Attributes:
         width: of all photos, px; they are 3 : 2.
@@ -232,7 +232,7 @@ def _subject_m(depth_m: FloatMap) -> float:
 
 
 def _lights_of(tracer: RoomTracer, shot: _Shot, world_from_tele: FloatArray, *, samples: int) -> dict[str, FloatImage]:
-    """What falls on both sensors, linear."""
+    """Light that falls on both sensors, linear."""
     light = {}
     for name, camera, camera_from_tele in lenses_of(shot.rig):
         tele_from_camera = np.linalg.inv(camera_from_tele)

@@ -44,7 +44,7 @@ _LARGEST_SLOPE = 0.3
 
 @dataclass(frozen=True)
 class _World:
-    """What the pieces of one scene have in common.
+    """Parts that the pieces of one scene have in common.
 
     Attributes:
         rng: source of all draws.

@@ -1,4 +1,4 @@
-"""What a phone's camera makes of light: a noisy Bayer mosaic, and the photo the phone develops from it.
+"""Sensor of a phone's camera: a noisy Bayer mosaic, and the photo the phone develops from it.
 
 In the order of light: the lens blurs and darkens the corners; each pixel sees one colour, collects electrons and counts
 them. With C the sensor's colours, V the lens's share at r (the corner's distance from the middle is 1) and 1 the white
@@ -99,7 +99,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class RawFrame:
-    """What the sensor counted.
+    """Counts of the sensor.
 
     Attributes:
         bayer: (H, W) uint16 counts.

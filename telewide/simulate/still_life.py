@@ -36,7 +36,7 @@ _MARGIN_PX = 4
 
 @dataclass(frozen=True)
 class _Stage:
-    """What the pieces of one still life have in common.
+    """Parts that the pieces of one still life have in common.
 
     Attributes:
         rng: source of all draws.
@@ -352,7 +352,7 @@ def _post(stage: _Stage) -> Layer:
 
 
 def _nearness(stage: _Stage, disparity_px: float) -> float:
-    """How large a thing looks: nearer is larger."""
+    """Size at which a thing looks: nearer is larger."""
     return 0.75 + 0.9 * (disparity_px - stage.far_px) / (stage.near_px - stage.far_px)
 
 

@@ -35,7 +35,7 @@ _log = logging.getLogger("telewide")
 
 @dataclass(frozen=True)
 class ShotFacts:
-    """What the two photos of a shot state about themselves.
+    """Facts that the two photos of a shot state about themselves.
 
     Attributes:
         seconds_between: between the exposures, at least; None where EXIF does not tell.
@@ -48,7 +48,7 @@ class ShotFacts:
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a rectified pair lies to the photos it was made from.
+    """Geometry between a rectified pair and the photos it was made from.
 
     Attributes:
         refinement: what moved in this shot.
@@ -82,7 +82,7 @@ def align_photos(
         seed: of the split into matches to fit to and held-out ones.
 
     Returns:
-        The rectified pair, and how it lies to the photos.
+        The rectified pair, and its geometry to the photos.
 
     Raises:
         InputError: the photos do not fit the rig, or it cannot be rectified.
@@ -107,7 +107,7 @@ def align_photos(
 
 
 def shot_precision(alignment: Alignment, *, of_set: Sequence[Alignment], rig: StoredRig) -> DepthPrecision:
-    """What all depths of a shot are uncertain by: the rig's own deviations, and the lens's unseen shift.
+    """Sum up what all depths of a shot are uncertain by: the rig's own deviations, and the lens's unseen shift.
 
     A rig from scenes does not know where infinitely far things lie; that moves all disparities as the lens's shift
     does, and a known distance takes out both.
@@ -177,7 +177,7 @@ def plain_rig(rig: StereoRig) -> dict[str, object]:
 
 
 def alignment_as_json(alignment: Alignment) -> str:
-    """What an alignment adds to its rig, as JSON; :func:`alignment_from_json` undoes it exactly."""
+    """Write what an alignment adds to its rig, as JSON; :func:`alignment_from_json` undoes it exactly."""
     shot = alignment.refinement
     direction = shot.translation_direction
     arrays = {

@@ -41,7 +41,7 @@ _PREVIEW_WIDTH_PX = 1000
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """What ``telewide calibrate`` was asked for.
+    """Options of a calibration from photos of a board.
 
     Attributes:
         board: name or file of the board; None looks for the known ones.
@@ -119,7 +119,7 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Obser
     Args:
         boards: folder of the photos, in one of the layouts of `telewide.boards.shots`.
         options: board, size, output.
-        observer: hears of it.
+        observer: is told of the progress.
 
     Returns:
         The calibration, of any verdict, with the files written.

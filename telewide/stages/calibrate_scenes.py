@@ -56,7 +56,7 @@ _PREVIEW_WIDTH_PX = 1000
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """What ``telewide calibrate --from-scenes`` was asked for.
+    """Options of a calibration from captures of scenes.
 
     Attributes:
         baseline_m: distance of the lenses, where the user states it.
@@ -92,7 +92,7 @@ class SceneRun:
 
 @dataclass(frozen=True)
 class _Kind:
-    """What captures of one rig have in common.
+    """Properties that captures of one rig have in common.
 
     Attributes:
         sizes: of tele's and of wide's photo, upright.
@@ -131,7 +131,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observe
     Args:
         captures: folder of the captures, photos as they came from the phone.
         options: what is known besides, output.
-        observer: hears of it.
+        observer: is told of the progress.
 
     Returns:
         The rig, of any verdict, with the files written.
@@ -218,7 +218,7 @@ def _kind(capture: Capture) -> _Kind | None:
 
 
 def _stated(capture: Capture) -> tuple[PhotoFacts, PhotoFacts]:
-    """What the photos of a capture state; nothing where one cannot be read, which matching it says."""
+    """Facts that the photos of a capture state; nothing where one cannot be read, which matching it says."""
     try:
         return read_photo_facts(capture.tele_path), read_photo_facts(capture.wide_path)
     except (InputError, UsageError):

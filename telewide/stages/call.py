@@ -25,12 +25,12 @@ from telewide.training.processes import Processes, joined_processes
 
 @dataclass(frozen=True)
 class Call:
-    """What the stages of one call share.
+    """Context that the stages of one call share.
 
     Attributes:
         captures: what was found.
         folder: the run folder.
-        recipe: resolved.
+        recipe: the resolved recipe.
         device: auto, cpu or cuda.
         processes: this process among all.
         observer: is told of the progress.
@@ -68,7 +68,7 @@ def begun(
     Args:
         captures_root: folder of the captures.
         run: run folder, or None for the one that belongs to the captures.
-        recipe: resolved.
+        recipe: the resolved recipe.
         device: auto, cpu or cuda.
         observer: is told of the progress.
         rig: rig file, or None for the one that lies by the captures.

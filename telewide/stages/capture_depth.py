@@ -52,7 +52,7 @@ Match = Callable[[FloatMap, FloatMap], DisparityMap]
 
 @dataclass(frozen=True)
 class ShotGeometry:
-    """How the matched pair lies to the photos it was rectified from.
+    """Geometry between the matched pair and the photos it was rectified from.
 
     Attributes:
         geometry: of the rectified views.
@@ -69,7 +69,7 @@ class ShotGeometry:
 
 @dataclass(frozen=True)
 class DepthOutcome:
-    """What was made of one capture.
+    """Results of one capture.
 
     Attributes:
         name: of the capture.
@@ -90,7 +90,7 @@ class DepthOutcome:
 
 @dataclass(frozen=True)
 class DepthFailure:
-    """Why there is no depth of one capture.
+    """Reason why there is no depth of one capture.
 
     Attributes:
         name: of the capture.
@@ -292,7 +292,7 @@ def _result_of_shot(
 
 
 def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
-    """What the bokeh is focused on, in numbers; metres only where they are known."""
+    """Focus of the bokeh in numbers; metres only where they are known."""
     numbers = {"focus_px": focus.disparity_px, "focus_x_px": float(focus.x_px), "focus_y_px": float(focus.y_px)}
     maps = {"focus_m": result.depth_m, "focus_std_m": result.depth_std_m}
     metres = {name: float(m[focus.y_px, focus.x_px]) for name, m in maps.items() if m is not None}

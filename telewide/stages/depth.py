@@ -34,7 +34,7 @@ from telewide.text import command_line, counted
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """What ``telewide depth`` was asked for.
+    """Options of the depth of captures.
 
     Attributes:
         method: how to match.
@@ -61,7 +61,7 @@ class DepthOptions:
 
 @dataclass(frozen=True)
 class DepthRun:
-    """What was made of a set, by all processes together.
+    """Depths of a set, by all processes together.
 
     Attributes:
         folder: where it lies.
@@ -268,7 +268,7 @@ def _stated_focus(item: PreparedPair) -> KnownDistance | None:
 
 
 def _shot(item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None) -> ShotGeometry | None:
-    """How the pair lies to its photos, and what its depths are worth; None where it was rectified when it came."""
+    """Geometry of the pair to its photos, with the precision of its depths; None where it was rectified when it came."""
     if item.alignment is None or prepared.rig is None:
         return None
     aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
@@ -284,7 +284,7 @@ def _depth_key(
     options: DepthOptions,
     shot: ShotGeometry | None,
 ) -> dict[str, object]:
-    """What the files of one capture depend on; the pair's record names photos, facts and correction."""
+    """Key of all that the files of one capture depend on; the pair's record names photos, facts and correction."""
     truth = item.source.truth_path
     return {
         "version": metadata.version("telewide"),

@@ -1,4 +1,4 @@
-"""What was made of one capture, remembered beside its files, so that the same is not computed twice: ``depth.json``."""
+"""Record of what was made of one capture, beside its files, so that the same is not computed twice: ``depth.json``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FILE_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png", BOKEH_N
 
 @dataclass(frozen=True)
 class KeptDepth:
-    """What was made of one capture.
+    """Results of one capture.
 
     Attributes:
         files: names of the files in its folder.

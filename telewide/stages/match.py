@@ -1,4 +1,4 @@
-"""What matches two corrected views: semi-global matching, the network of a weights file, or both together."""
+"""Choice of what matches two corrected views: semi-global matching, the network of a weights file, or both together."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ class PreparedPair:
         report: what was measured on the photos.
         scale: working size over the photo's size.
         held_out: its matches that no fit has seen.
-        alignment: how the corrected pair lies to the photos; None where they were rectified when they came.
+        alignment: geometry between the corrected pair and the photos; None where they were rectified when they came.
         blur: how much softer wide is; None where matches are too few to tell.
     """
 

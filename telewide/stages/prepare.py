@@ -74,7 +74,7 @@ class CorrectedShot:
     Attributes:
         corrected: the pair at its working size, with its matches.
         report: what was measured, and a verdict.
-        alignment: how the pair lies to the photos; None where they were rectified when they came.
+        alignment: geometry between the pair and the photos; None where they were rectified when they came.
     """
 
     corrected: CorrectedPair
@@ -236,7 +236,7 @@ def correct_shot(
 
     Args:
         pair: two views of one size.
-        alignment: how they lie to the photos; None for photos that were rectified when they came.
+        alignment: their geometry to the photos; None for photos that were rectified when they came.
         facts: what the owner states.
         recipe: what is corrected; its seed splits the matches.
         focal_lengths_mm: of tele's and wide's lens as EXIF states them.
@@ -284,7 +284,7 @@ def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
 def _rectified(
     capture: Capture, facts: CaptureFacts, *, recipe: Recipe, rig: StoredRig | None
 ) -> tuple[tuple[RectifiedPair, float], Alignment | None]:
-    """The pair at its working size, with the scale of that; how it lies to the photos, where a rig was needed."""
+    """The pair at its working size, with the scale of that; its geometry to them, where a rig was needed."""
     if rig is None:
         return at_working_size(read_pair(capture, facts=facts), recipe.working_width_px), None
     if rig.facts.image_pipeline is not None:
@@ -319,7 +319,7 @@ def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
 
 
 def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRig | None) -> dict[str, object]:
-    """What a prepared pair depends on."""
+    """Key of all that a prepared pair depends on."""
     return {
         "format": FORMAT,
         "tele_sha256": fingerprint(capture.tele_path),

@@ -74,7 +74,7 @@ SHEET_ROWS = 6
 
 @dataclass(frozen=True)
 class TrainOutcome:
-    """What a call of ``telewide train`` reached.
+    """Outcome of a training, or of its continuation.
 
     Attributes:
         weights: the file to compute depth with.
@@ -91,7 +91,7 @@ class TrainOutcome:
 
 @dataclass(frozen=True)
 class TrainingRecord:
-    """What a training was begun with; the file ``training.json``.
+    """Record of what a training was begun with; the file ``training.json``.
 
     Attributes:
         recipe: resolved recipe as plain data.
@@ -262,7 +262,7 @@ def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: R
     Args:
         kept: of the training that lies there.
         prepared: the pairs.
-        recipe: resolved.
+        recipe: the resolved recipe.
         anew: the command that starts over, to be advised.
     """
     names = tuple(item.capture.name for item in prepared.pairs)
@@ -348,7 +348,7 @@ def _reopen(state: TrainingState) -> None:
 
 
 def _forget_judgements(state: TrainingState) -> None:
-    """What was judged by other photos is not comparable with what is judged now."""
+    """Forget what was judged by other photos: it is not comparable with what is judged now."""
     state.stage_judgements = [math.nan] * len(state.stage_judgements)
     state.judgements = [math.nan] * len(state.judgements)
     if state.best is not None:

@@ -1,4 +1,4 @@
-"""What a training leaves on disk, and how it goes on from there.
+"""Checkpoints of a training, and how it goes on from them.
 
     train/state.pt               everything needed to continue: weights, average, optimiser, extractor, counters
     train/weights.safetensors    the result so far, for `telewide depth`
@@ -201,7 +201,7 @@ def frozen_extractor(network: StereoNetwork) -> nn.Module:
 
 @dataclass(frozen=True)
 class WeightsCard:
-    """What a weights file says of itself.
+    """Card of a weights file: what it says of itself.
 
     Attributes:
         network: name of the network.

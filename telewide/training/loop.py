@@ -55,7 +55,7 @@ Judge = Callable[[StereoNetwork], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Training:
-    """What stays the same from the first step to the last.
+    """Setting of a training that stays the same from the first step to the last.
 
     Attributes:
         folder: ``train/`` of the run.
@@ -93,7 +93,7 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
     Args:
         training: data, options, judge.
         state: new, or read from a checkpoint; changed as training goes on.
-        reporter: hears of it.
+        reporter: is told of the progress.
 
     Returns:
         The same state, finished; its ``average`` holds the best stage's weights.

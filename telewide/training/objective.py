@@ -1,4 +1,4 @@
-"""What one step minimises: the losses of a stage over one batch.
+"""Objective of one step: the losses of a stage over one batch.
 
 A batch holds rehearsed crops first, then real ones. Whatever has a truth (rendered, or a confident label) is
 supervised; the real crops are compared by the stage's loss besides.
@@ -129,7 +129,7 @@ def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window:
 
 
 def _head_terms(output: NetworkOutput, batch: Batch, window: Window) -> Weighted:
-    """What a network says of its own result, where the crops say whether it is so."""
+    """Terms of what a network says of its own result, where the crops say whether it is so."""
     if output.heads_BCHW is None or batch.occluded_BHW is None:
         return []
     truth_px = batch.truth_px_BHW

@@ -1,4 +1,4 @@
-"""What a recipe may say about training."""
+"""Options of training, as a recipe states them."""
 
 from __future__ import annotations
 

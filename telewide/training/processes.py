@@ -27,7 +27,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Processes:
-    """Which process this is.
+    """This process among all that work together.
 
     Attributes:
         rank: 0 to world - 1.
@@ -43,7 +43,7 @@ class Processes:
         return self.rank == 0
 
     def share(self, values: tuple[Value, ...]) -> tuple[Value, ...]:
-        """What falls to this process of what all have."""
+        """Share of this process in what all have."""
         return values[self.rank :: self.world]
 
     def gathered(self, mine: tuple[Value, ...]) -> tuple[Value, ...]:

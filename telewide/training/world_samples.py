@@ -152,7 +152,7 @@ def _crop(cast: _Cast, rng: np.random.Generator, hw: tuple[int, int], window: Wi
 
 
 def _shift(truth_px: Tensor, window: tuple[int, int], rng: np.random.Generator, *, limits: tuple[int, int]) -> int:
-    """How far src is moved so that the crop's disparities lie somewhere in the window."""
+    """Shift of src by which the crop's disparities lie somewhere in the window."""
     low, high = (float(v) for v in torch.quantile(truth_px.flatten()[::7], torch.tensor([0.01, 0.99])))
     slack = max(0.0, window[1] - window[0] - (high - low) - 6)
     wanted = low - window[0] - 3 - rng.uniform(0, 1) * slack
@@ -160,7 +160,7 @@ def _shift(truth_px: Tensor, window: tuple[int, int], rng: np.random.Generator, 
 
 
 def _mild_damage(rng: np.random.Generator) -> Damage:
-    """What the sharp camera does itself: a little blur and noise."""
+    """Damage by the sharp camera itself: a little blur and noise."""
     sigma = rng.uniform(0, 0.8) * (rng.random() < 0.4)
     return Damage(blur_sigma_px=(sigma, sigma), noise_std=rng.uniform(0, 0.012) * (rng.random() < 0.6))
 

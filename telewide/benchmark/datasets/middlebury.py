@@ -32,7 +32,7 @@ _VISIBLE, _OCCLUDED = 255, 128
 
 @dataclass(frozen=True)
 class _Names:
-    """What the files of one layout are called, without suffix, and what its disparities are divided by."""
+    """Names of the files of one layout, without suffix, and what its disparities are divided by."""
 
     left: str
     right: str

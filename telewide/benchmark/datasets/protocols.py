@@ -31,7 +31,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class Protocol(Options):
-    """What one experiment takes of the data."""
+    """Part of the data that one experiment takes."""
 
     description: str = ""
     """One line for people."""

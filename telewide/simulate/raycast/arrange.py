@@ -27,7 +27,7 @@ SAME_AS_BEHIND = 0.12
 
 @dataclass(frozen=True)
 class _Draft:
-    """What the pieces of a world have in common.
+    """Parts that the pieces of a world have in common.
 
     Attributes:
         rng: source of all draws.

@@ -1,4 +1,4 @@
-"""What a second, worse camera does to a view, in torch: moved, blurred, shrunken, noisy, compressed, tinted, enlarged.
+"""Damage by a second, worse camera to a view, in torch: moved, blurred, shrunken, noisy, compressed, tinted, enlarged.
 
 The same order and meaning as `telewide.simulate.degrade`, with the lens' falloff and clipped highlights besides, on the
 device of the view. Letters: H W view, h w as the worse camera saw it.

@@ -27,7 +27,7 @@ _LEVEL_STARTS = tuple(sum((TEXTURE_PX >> k) ** 2 for k in range(level)) for leve
 
 @dataclass(frozen=True)
 class Palette:
-    """What a world is painted with.
+    """Colours a world is painted with.
 
     Attributes:
         textures: (T * texels of a pyramid, 3) float32 sRGB, all levels of a texture one after the other.

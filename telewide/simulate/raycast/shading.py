@@ -85,7 +85,7 @@ def _material(material: Material) -> list[float]:
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays have met.
+    """Points that rays have met.
 
     Attributes:
         x_px: (n,) where each ray goes through the view.

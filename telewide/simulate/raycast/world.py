@@ -1,4 +1,4 @@
-"""What a ray-cast world consists of: solids with materials, a light, two cameras side by side.
+"""Ray-cast world: solids with materials, a light, two cameras side by side.
 
 The cameras look along z, x right, y down; ref stands at the origin, src at ``(baseline, 0, 0)``, its principal point
 ``offset_px`` further to the left. A point at depth Z has the disparity
@@ -17,7 +17,7 @@ from telewide.simulate.raycast.hits import Kind
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface is painted.
+    """Paint of a surface.
 
     Attributes:
         texture: which fine texture of the palette.
