@@ -268,7 +268,7 @@ def _stated_focus(item: PreparedPair) -> KnownDistance | None:
 
 
 def _shot(item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None) -> ShotGeometry | None:
-    """Geometry of the pair to its photos, with the precision of its depths; None where it was rectified when it came."""
+    """Geometry of the pair to its photos, and precision of its depths; None where it was rectified when it came."""
     if item.alignment is None or prepared.rig is None:
         return None
     aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
