@@ -557,3 +557,30 @@ def test_an_interrupt_while_workers_start_is_answered_afterwards() -> None:
     with pytest.raises(KeyboardInterrupt):
         start()
     assert reached
+
+
+@dataclass(frozen=True)
+class Asked(Processes):
+    """One process that notes when all are asked something."""
+
+    events: list[str] = field(default_factory=list)
+
+    def is_any(self, flag: bool) -> bool:
+        self.events.append("asked")
+        return flag
+
+
+def test_no_process_goes_on_before_the_writer_has_saved(
+    tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every file of weights is followed by a question to all, which waits for the one that writes."""
+    processes = Asked()
+
+    def noted(*args: object, **kwargs: object) -> None:
+        processes.events.append("saved")
+
+    monkeypatch.setattr(loop, "save_weights", noted)
+    options = short(photometric=PHOTOMETRIC, stages=0)
+    train(training_in(tmp_path, source, options=options, processes=processes), fresh(), reporter=Heard())
+    assert "saved" in processes.events
+    assert processes.events[-1] == "asked"
