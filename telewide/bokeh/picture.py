@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from telewide.bokeh.focus import FOCUS_WORDS, Focus, find_focus, named_point
 from telewide.bokeh.render import (
+    LARGEST_RADIUS_SHARE,
+    largest_step_px,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
     render_bokeh,
@@ -153,12 +155,41 @@ def bokeh_picture(
         raise UsageError(refusal)
     if focus is None:
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
-    focus_px = focus.disparity_px
+    radius_per_px = _radius_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
+    return render_bokeh(
+        photo, disparity.disparity_px, focus_disparity_px=focus.disparity_px, radius_per_px=radius_per_px
+    )
+
+
+def held_back_note(
+    name: str, disparity_px: FloatMap, focus: Focus, *, options: BokehOptions, baseline_m: float | None
+) -> str | None:
+    """Say that a blur is weaker than was asked for, the largest that is rendered; None where it is as asked for.
+
+    Args:
+        name: of the capture.
+        disparity_px: (H, W) on the photo, px.
+        focus: what is sharp.
+        options: focus and strength.
+        baseline_m: distance of the lenses, m; None where it is not known.
+    """
+    if options.f_number is None and options.strength_px is None:
+        return None
+    radius_per_px = _radius_per_px(disparity_px, focus, options=options, baseline_m=baseline_m)
+    asked_px = radius_per_px * largest_step_px(disparity_px, focus.disparity_px)
+    cap_px = LARGEST_RADIUS_SHARE * min(disparity_px.shape)
+    if not asked_px > cap_px:
+        return None
+    return (
+        f"{name}: the strongest blur is held at a radius of {cap_px:.0f} px, a tenth of the photo's shorter side; "
+        f"{asked_px:.0f} px were asked for"
+    )
+
+
+def _radius_per_px(disparity_px: FloatMap, focus: Focus, *, options: BokehOptions, baseline_m: float | None) -> float:
     if options.f_number is not None and baseline_m is not None:
-        radius_per_px = radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
-    else:
-        strength_px = options.strength_px
-        if strength_px is None:
-            strength_px = DEFAULT_STRENGTH_SHARE * max(photo.shape[:2])
-        radius_per_px = radius_per_px_from_strength(disparity.disparity_px, focus_px, strength_px=strength_px)
-    return render_bokeh(photo, disparity.disparity_px, focus_disparity_px=focus_px, radius_per_px=radius_per_px)
+        return radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
+    strength_px = options.strength_px
+    if strength_px is None:
+        strength_px = DEFAULT_STRENGTH_SHARE * max(disparity_px.shape)
+    return radius_per_px_from_strength(disparity_px, focus.disparity_px, strength_px=strength_px)

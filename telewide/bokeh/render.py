@@ -71,12 +71,25 @@ def radius_per_px_from_strength(disparity_px: FloatMap, focus_disparity_px: floa
     """
     if not (math.isfinite(strength_px) and strength_px >= 0):
         raise UsageError(f"bokeh strength {strength_px} px: expected a radius of 0 px or more")
+    span_px = largest_step_px(disparity_px, focus_disparity_px)
+    return strength_px / span_px if span_px > 0 else 0.0
+
+
+def largest_step_px(disparity_px: FloatMap, focus_disparity_px: float) -> float:
+    """Measure how far from the focus disparities reach, px; the nearest and the farthest 0.5 % are taken for mistakes.
+
+    Args:
+        disparity_px: (H, W), px.
+        focus_disparity_px: the disparity that stays sharp.
+
+    Raises:
+        InputError: the map holds no known value.
+    """
     known_px = disparity_px[np.isfinite(disparity_px)]
     if len(known_px) == 0:
         raise InputError("the disparity map holds no known value")
     ends_px = np.percentile(known_px, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT))
-    span_px = float(np.abs(ends_px - focus_disparity_px).max())
-    return strength_px / span_px if span_px > 0 else 0.0
+    return float(np.abs(ends_px - focus_disparity_px).max())
 
 
 def radius_per_px_from_f_number(*, f_number: float, baseline_m: float, equiv_focal_mm: float = 50.0) -> float:

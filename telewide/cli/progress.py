@@ -6,7 +6,9 @@ Everything here goes to standard error; standard output is for answers.
 from __future__ import annotations
 
 import math
+import statistics
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 _LINE_EVERY_S = 15.0
 """Where there is no terminal, a training says so often how far it is."""
 _LOSS_MEMORY = 0.97
+_RECENT_STEPS = 31
+"""The median of so many steps is the pace: neither an hour of sleep nor a busy minute long ago counts."""
 _VERDICT_WORDS = {"usable": "warning"}  # beside "good", usable reads as an all-clear
 
 
@@ -55,6 +59,7 @@ class ConsoleObserver:
     _loss: float = math.nan
     _last_line_s: float = field(default_factory=time.monotonic)
     _judgement: str = ""
+    _recent_s: deque[float] = field(default_factory=lambda: deque(maxlen=_RECENT_STEPS))
     _window: Window | None = None
 
     def close(self) -> None:
@@ -116,15 +121,17 @@ class ConsoleObserver:
         """Show a bar over the steps."""
         self.close()
         self._loss, self._last_line_s = math.nan, time.monotonic()
+        self._recent_s.clear()
         self._begin(stage.name, total=stage.options.steps, done=first_step)
 
     def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
         """Move the bar; say the loss."""
         total = sum(losses.values())
+        self._recent_s.append(seconds)
         self._loss = total if math.isnan(self._loss) else _LOSS_MEMORY * self._loss + (1 - _LOSS_MEMORY) * total
         self._advance(f"loss {self._loss:.3f}{self._judgement}")
         if not self.console.is_terminal and time.monotonic() - self._last_line_s > _LINE_EVERY_S:
-            left_min = (stage.options.steps - step) * seconds / 60
+            left_min = (stage.options.steps - step) * statistics.median(self._recent_s) / 60
             self.said(
                 f"{stage.name} {step}/{stage.options.steps}  loss {self._loss:.3f}  {left_min:.0f} min left at most"
             )

@@ -117,7 +117,9 @@ def preview(image: FloatMap, result: DepthResult, *, longest_px: int = 1280) -> 
     pad, gap = text_px, text_px // 2
     foot_height = round(text_px * 4.2)
     depth_xy = (pad, pad + panel_wh[1] + gap) if is_stacked else (pad + panel_wh[0] + gap, pad)
-    page = new_page(wh=(depth_xy[0] + panel_wh[0] + pad, depth_xy[1] + panel_wh[1] + foot_height))
+    least_foot = 16 * text_px  # a photo much higher than wide leaves no room for a scale below its panel
+    right = max(depth_xy[0] + panel_wh[0], pad + least_foot)
+    page = new_page(wh=(right + pad, depth_xy[1] + panel_wh[1] + foot_height))
     paste_image(page, scaled_image(photo, wh=panel_wh), at_xy=(pad, pad))
     paste_image(page, disparity_panel(result, wh=panel_wh), at_xy=depth_xy)
 
@@ -126,19 +128,21 @@ def preview(image: FloatMap, result: DepthResult, *, longest_px: int = 1280) -> 
     unit = "distance, m" if unit == "m" else "disparity, px"
     caption = f"{result.name}   {_measured_text(result)}"
     beside_y = foot_y + round(text_px * 1.1)
-    if not is_stacked:
+    if not is_stacked and panel_wh[0] >= least_foot:
         line = fitted_text(caption, width_px=panel_wh[0], size_px=text_px)
         write_text(page, line, at_xy=(pad, beside_y), size_px=text_px, is_faint=True)
         caption = ""
     bar_left = depth_xy[0]
+    if right - bar_left < least_foot:
+        bar_left, caption = right - least_foot, ""
     if caption and panel_wh[0] > 3 * text_width_px(caption, size_px=text_px) / 2:
         write_text(page, caption, at_xy=(pad, beside_y), size_px=text_px, is_faint=True)
         bar_left += math.ceil(text_width_px(caption, size_px=text_px)) + 2 * pad
     unit_width = math.ceil(text_width_px(unit, size_px=text_px)) + gap
-    bar_wh = (depth_xy[0] + panel_wh[0] - bar_left - unit_width, text_px)
+    bar_wh = (right - bar_left - unit_width, text_px)
     bar_y = foot_y + round(text_px * 0.7)
     draw_colour_bar(page, at_xy=(bar_left, bar_y), wh=bar_wh, table="turbo", ticks=ticks, size_px=text_px)
-    write_text(page, unit, at_xy=(depth_xy[0] + panel_wh[0], beside_y), size_px=text_px, anchor="rm")
+    write_text(page, unit, at_xy=(right, beside_y), size_px=text_px, anchor="rm")
     return image_from_page(page)
 
 

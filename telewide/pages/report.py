@@ -132,12 +132,17 @@ def thumbnail(label: str, image: FloatMap, *, longest_px: int = 480, link: str |
     Returns:
         The picture.
     """
-    box_side = min(longest_px, max(image.shape[:2]))
-    wh = fitted_wh((image.shape[1], image.shape[0]), box_wh=(box_side, box_side))
+    wh = thumbnail_wh((image.shape[1], image.shape[0]), longest_px=longest_px)
     small = np.clip(np.nan_to_num(scaled_image(image, wh=wh)), 0, 1)
     bgr = np.ascontiguousarray(np.round(small * 255).astype(np.uint8)[..., ::-1])
     _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY])
     return Picture(label=label, jpeg=encoded.tobytes(), wh=wh, link=link)
+
+
+def thumbnail_wh(wh: tuple[int, int], *, longest_px: int = 480) -> tuple[int, int]:
+    """Tell the size of the thumbnail of an image of a size."""
+    box_side = min(longest_px, max(wh))
+    return fitted_wh(wh, box_wh=(box_side, box_side))
 
 
 def write_report(

@@ -15,10 +15,10 @@ from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.errors import TelewideError
-from telewide.pages.report import Curve, NextStep, Picture, ReportRow, thumbnail, write_report
+from telewide.pages.report import Curve, NextStep, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.run_folder import RunFolder
-from telewide.text import command_line
+from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
 from telewide.training.stages import plan_stages
 
@@ -50,7 +50,7 @@ def report_row(
 
 
 def write_page(
-    run: RunFolder, rows: Iterable[ReportRow], *, recipe: Recipe, captures: Path, rig: Path | None = None
+    run: RunFolder, rows: Iterable[ReportRow], *, recipe: Recipe, captures: Path, invocation: Invocation
 ) -> Path:
     """Write ``report.html`` of a run.
 
@@ -58,8 +58,8 @@ def write_page(
         run: its folder.
         rows: the captures.
         recipe: it was trained with.
-        captures: folder of the captures, for the commands it names.
-        rig: rig file its user named, likewise; None where one is found without its name, or none is needed.
+        captures: folder of the captures.
+        invocation: the command that was typed, which the commands it names take up.
 
     Returns:
         Path of the page.
@@ -70,25 +70,24 @@ def write_page(
         title="Depth and bokeh from a wide and a tele lens",
         summary=recipe.description,
         curves=training_curves(run.training_log),
-        next_steps=next_steps(run, recipe=recipe, captures=captures, rig=rig),
+        next_steps=next_steps(run, recipe=recipe, invocation=invocation),
         facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
     )
 
 
-def next_steps(run: RunFolder, *, recipe: Recipe, captures: Path, rig: Path | None) -> tuple[NextStep, ...]:
+def next_steps(run: RunFolder, *, recipe: Recipe, invocation: Invocation) -> tuple[NextStep, ...]:
     """Steps to take after a run, each with a command that can be pasted into a shell.
 
     Args:
         run: its folder.
         recipe: it was trained with; a longer training is advised where the default recipe has more steps.
-        captures: folder of the captures.
-        rig: rig file its user named, or None.
+        invocation: the command that was typed.
     """
     steps = []
     if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
-        longer = command_line("run", captures, rig=rig, out=f"{run.root}-{DEFAULT_RECIPE}")
+        longer = invocation.instead("run", out=f"{run.root}-{DEFAULT_RECIPE}", recipe=None, set=None)
         steps.append(NextStep("Train longer, for better depth:", longer))
-    near = command_line("depth", captures, run=run.root, rig=rig, bokeh=True, focus="near")
+    near = invocation.instead("depth", run=run.root, bokeh=True, focus="near")
     steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
     own = command_line("run", "my-captures/")
     steps.append(NextStep("Your own photos, once telewide calibrate has made a rig of your lenses:", own))
@@ -125,7 +124,8 @@ def _disparity_picture(folder: Path, root: Path, *, rotated_deg: int) -> Picture
     disparity = read_disparity(folder / NPZ_NAME)
     height, width = upright(disparity.disparity_px, rotated_deg=rotated_deg).shape
     result = DepthResult(name=folder.name, disparity=disparity, rotated_deg=rotated_deg)
-    panel = disparity_panel(result, wh=(width, height))
+    # Hatched at the size it is seen at: made smaller, thin lines vanish, and guesses look measured.
+    panel = disparity_panel(result, wh=thumbnail_wh((width, height)))
     low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)
     label = f"disparity, {round(low_px)} to {round(high_px)} px; hatched: filled in"
     return thumbnail(label, panel, link=_link(folder / "preview.png", root))
@@ -145,11 +145,11 @@ def _stage_starts(lines: Sequence[LogLine]) -> dict[str, int]:
 
 def _table_line(numbers: Mapping[str, float]) -> dict[str, float | None]:
     headings = {
-        "off_1px": ("off by > 1 px, %", 100.0),
-        "off_3px": ("off by > 3 px, %", 100.0),
+        "off_1px": ("matches off by > 1 px of the matched size, %", 100.0),
+        "off_3px": ("> 3 px, %", 100.0),
         "matches": ("held-out matches", 1.0),
         "3PE": ("3PE, %", 100.0),
-        "EPE_px": ("EPE, px", 1.0),
+        "EPE_px": ("EPE, px of the photo", 1.0),
         "match_s": ("matching, s", 1.0),
     }
     line: dict[str, float | None] = {

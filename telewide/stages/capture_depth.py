@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from telewide.bokeh.focus import Focus, find_focus
-from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, why_no_bokeh
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.correction.moving import MovedRegion, moving_mask
@@ -157,13 +157,13 @@ def depth_of_capture(
 
 @dataclass(frozen=True)
 class _Computed:
-    """All that is to be written of one capture; `bokeh_note` without a picture says why there is none."""
+    """All that is to be written of one capture; `bokeh_notes` without a picture say why there is none."""
 
     photo: FloatMap
     result: DepthResult
     metric_notes: tuple[str, ...]
     picture: FloatMap | None
-    bokeh_note: str | None
+    bokeh_notes: tuple[str, ...]
     numbers: Mapping[str, float]
     withheld: str | None = None
 
@@ -194,9 +194,10 @@ def _compute(
     elif truth_px is not None:
         numbers["3PE"] = three_pixel_error(result.disparity.disparity_px, truth_px)
         numbers["EPE_px"] = end_point_error_px(result.disparity.disparity_px, truth_px)
-    picture, note = None, None
+    picture: FloatMap | None = None
+    told: tuple[str, ...] = ()
     if bokeh is not None:
-        picture, note, focused = _blurred(photo, result, bokeh)
+        picture, told, focused = _blurred(photo, result, bokeh)
         numbers |= focused
     numbers["total_s"] = time.monotonic() - begun_s
     return _Computed(
@@ -204,7 +205,7 @@ def _compute(
         result=result,
         metric_notes=metric_notes,
         picture=picture,
-        bokeh_note=note,
+        bokeh_notes=told,
         numbers=numbers,
         withheld=withheld,
     )
@@ -212,28 +213,31 @@ def _compute(
 
 def _blurred(
     photo: FloatMap, result: DepthResult, bokeh: BokehOptions
-) -> tuple[FloatMap | None, str, dict[str, float]]:
+) -> tuple[FloatMap | None, tuple[str, ...], dict[str, float]]:
     """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
     refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m)
     if refusal is not None:
-        return None, f"{result.name}: bokeh.jpg left out: {refusal}", {}
+        return None, (f"{result.name}: bokeh.jpg left out: {refusal}",), {}
     focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
     picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
     focused = _focus_numbers(focus, result)
     depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")
-    return picture, focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh), focused
+    note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh)
+    held_back = held_back_note(
+        result.name, result.disparity.disparity_px, focus, options=bokeh, baseline_m=result.baseline_m
+    )
+    return picture, tuple(told for told in (note, held_back) if told is not None), focused
 
 
 def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
     """Write all files of one capture into a folder; a bokeh of earlier stays where the depth beside it is the same."""
     written = write_depth(folder, computed.result, image=computed.photo)
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
-    if computed.bokeh_note is not None:
-        notes = (*notes, computed.bokeh_note)
+    notes = (*notes, *computed.bokeh_notes)
     if computed.picture is not None:
         write_image(folder / BOKEH_NAME, computed.picture, shown_turned_deg=computed.result.rotated_deg)
         names.append(BOKEH_NAME)
-    elif computed.bokeh_note is None and _has_bokeh_of(former, folder / "disparity.pfm"):
+    elif not computed.bokeh_notes and _has_bokeh_of(former, folder / "disparity.pfm"):
         with replacing(folder / BOKEH_NAME) as temporary:
             shutil.copyfile(former / BOKEH_NAME, temporary)
         names.append(BOKEH_NAME)

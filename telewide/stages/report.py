@@ -33,5 +33,5 @@ def report(call: Call, done: DepthRun) -> DepthRun:
         )
         for outcome in done.outcomes
     )
-    page = write_page(call.folder, rows, recipe=call.recipe, captures=call.captures.root, rig=call.rig_file)
+    page = write_page(call.folder, rows, recipe=call.recipe, captures=call.captures.root, invocation=call.invocation)
     return replace(done, report=page)

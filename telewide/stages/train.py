@@ -13,7 +13,8 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -182,12 +183,11 @@ def _take_up(
 ) -> tuple[TrainingRecord, TrainingState]:
     """The training that lies in a run folder, and what is new to it; or a new one."""
     run, anew = call.folder, call.invocation.instead("train", fresh=True)
-    try:
+    with _damage_told(anew):
         kept = read_record(run)
-        state = state_for(run, call.recipe, device)
-    except InputError as error:
-        raise InputError(error.message, hint=f"start over: {anew}") from error
     record = _agreed_record(kept, prepared, call.recipe, anew=anew)
+    with _damage_told(anew):
+        state = state_for(run, call.recipe, device)
     if kept is not None and state.step + state.stage_index > 0:
         grown, changed = sorted(set(record.captures) - set(kept.captures)), kept.changed_in(record)
         if grown or changed:
@@ -197,6 +197,15 @@ def _take_up(
         stands = _where_it_stands(run, plan, state, grown=grown, changed=changed)
         call.observer.said(f"{stands}; to start over: {anew}" if state.is_finished else stands)
     return record, state
+
+
+@contextmanager
+def _damage_told(anew: str) -> Iterator[None]:
+    """Say of a file of a training that cannot be read by which command to start over."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(error.message, hint=f"start over: {anew}") from error
 
 
 def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: TrainingState) -> None:

@@ -16,6 +16,8 @@ from telewide.correction.verdict import PairReport, Verdict
 from telewide.points.held_out import HeldOut
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import with_doubts
+from telewide.training.options import StageOptions
+from telewide.training.stages import Stage
 
 NAN = math.nan
 
@@ -54,3 +56,20 @@ def test_the_table_names_captures_as_they_are_called() -> None:
     assert isinstance(told.file, io.StringIO)
     cells = told.file.getvalue().splitlines()[1].split()
     assert (cells[0], cells[1], cells[-1]) == ("beach[red]", "9", "doubtful")
+
+
+def test_the_time_left_goes_by_the_recent_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second a step, but for one step that held an hour of sleep, and a busy quarter of an hour before."""
+    console = Console(file=io.StringIO(), width=200)
+    observer, clock = ConsoleObserver(console), iter(range(0, 100_000, 100))
+    monkeypatch.setattr("telewide.cli.progress.time.monotonic", lambda: float(next(clock)))
+    stage = Stage("rehearsal", 0, StageOptions(steps=700, rehearsed=1))
+    observer.stage_started(stage, first_step=0)
+    for step in range(1, 101):
+        seconds = 9.0 if step < 60 else 3600.0 if step == 100 else 1.0
+        observer.step_done(stage, step=step, losses={"x": 1.0}, seconds=seconds)
+    assert isinstance(console.file, io.StringIO)
+    assert "10 min left at most" in console.file.getvalue().splitlines()[-1]
+    observer.stage_started(stage, first_step=0)
+    observer.step_done(stage, step=100, losses={"x": 1.0}, seconds=6.0)
+    assert "60 min left at most" in console.file.getvalue().splitlines()[-1]

@@ -168,3 +168,12 @@ def test_any_name_fits_its_place(name: str) -> None:
     shown = fitted_text(name, width_px=120, size_px=16)
     assert text_width_px(shown, size_px=16) <= 120
     assert shown[:1] == name[:1]
+
+
+@pytest.mark.parametrize("hw", [(40, 1000), (1000, 40), (2000, 8), (8, 2000), (1, 1), (3, 900)])
+def test_photos_of_any_shape_have_a_preview(hw: tuple[int, int]) -> None:
+    page = preview(np.zeros((*hw, 3), np.float32), ramp_result(hw=hw))
+    assert page.shape[0] > 100
+    assert page.shape[1] > 100
+    bar = page[-60:].reshape(-1, 3)
+    assert np.ptp(bar, axis=0).max() > 0.5  # the scale is there

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,13 +18,15 @@ from telewide.geometry.stereo import DisparityMap
 from telewide.pages.run_page import next_steps, report_row, training_curves
 from telewide.recipe import Recipe, load_recipe
 from telewide.stages.run_folder import RunFolder
+from telewide.text import Invocation
 
 RIG = Path("my rigs/phone.yaml")
 
 
 def commands(recipe: Recipe, *, rig: Path | None) -> dict[str, list[str]]:
     """The words of each command, by its subcommand and captures."""
-    steps = next_steps(RunFolder(Path("my run")), recipe=recipe, captures=Path("my captures"), rig=rig)
+    typed = Invocation("run", ("my captures",), {"out": "my run", "rig": rig, "recipe": "quick", "seed": 5})
+    steps = next_steps(RunFolder(Path("my run")), recipe=recipe, invocation=typed)
     words = [shlex.split(step.command) for step in steps]
     assert all(word[0] == "telewide" for word in words)
     return {" ".join(word[1:3]): word[1:] for word in words}
@@ -36,6 +39,10 @@ def test_the_same_captures_keep_their_rig(rig: Path | None) -> None:
         assert (words[words.index("--rig") + 1] == str(RIG)) if rig else ("--rig" not in words)
     assert "--rig" not in asked["run my-captures/"], "own photos have lenses of their own"
     assert asked["depth my captures"][2:4] == ["--run", "my run"]
+    longer = asked["run my captures"]
+    assert longer[2:4] == ["--out", "my run-default"]
+    assert longer[-2:] == ["--seed", "5"]
+    assert "--recipe" not in longer
 
 
 def test_every_command_is_one_the_program_takes(
@@ -86,3 +93,17 @@ def test_curves_are_drawn_of_what_can_be_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(losses.values, [0.1, 0.2])
     np.testing.assert_allclose([*judged.steps, *judged.values], [3.0, 50.0])
     assert training_curves(tmp_path / "none") == ()
+
+
+def test_guesses_look_hatched_on_the_page_whatever_the_size_of_the_photo(tmp_path: Path) -> None:
+    """The hatch is drawn at the size it is seen at; drawn at the photo's size it would be made invisible."""
+    hw = (1500, 2000)
+    disparity_px = np.tile(np.linspace(5, 40, hw[1], dtype=np.float32), (hw[0], 1))
+    valid = np.arange(hw[1])[None].repeat(hw[0], axis=0) < hw[1] // 2
+    write_depth(tmp_path / "one", DepthResult("one", DisparityMap(disparity_px, np.ones(hw, np.float32), valid)))
+    photo = np.zeros((150, 200, 3), np.float32)
+    picture = report_row(PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers={}).pictures[2]
+    shown = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE).astype(np.float64)
+    ripple = np.abs(np.diff(shown, axis=0)).mean(axis=0)  # along columns the colour does not change
+    half = shown.shape[1] // 2
+    assert ripple[half + 8 :].mean() > 5 > 2 * ripple[: half - 8].mean()

@@ -311,3 +311,19 @@ def test_a_bokeh_stays_beside_the_same_depth_only(capture: Capture, tmp_path: Pa
     assert (folder / "bokeh.jpg").is_file()
     depth_made(capture, folder, bokeh=None, turn=2)
     assert not (folder / "bokeh.jpg").exists()
+
+
+@pytest.mark.parametrize("bokeh", [BokehOptions(), BokehOptions(strength_px=5.9)])
+def test_a_blur_as_strong_as_asked_for_is_not_spoken_of(bokeh: BokehOptions, capture: Capture, tmp_path: Path) -> None:
+    assert not any("held at" in note for note in made(capture, tmp_path / "run", bokeh=bokeh).notes)
+
+
+def test_a_blur_above_the_largest_is_said_to_be_held_back(capture: Capture, tmp_path: Path) -> None:
+    """A tenth of the shorter side of 60 px; by pixels and by an aperture alike."""
+    notes = "\n".join(made(capture, tmp_path / "run", bokeh=BokehOptions(strength_px=24)).notes)
+    assert "held at a radius of 6 px" in notes
+    assert "24 px were asked for" in notes
+    known = CaptureFacts(rectified=True, baseline_m=0.012)
+    wide_open = made(capture, tmp_path / "wide", bokeh=BokehOptions(f_number=0.5), facts=known)
+    assert any("held at a radius of 6 px" in note for note in wide_open.notes)
+    assert (tmp_path / "wide" / "bokeh.jpg").is_file()
