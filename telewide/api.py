@@ -27,13 +27,14 @@ from telewide.correction.verdict import disparity_window
 from telewide.depth.result import DepthResult
 from telewide.errors import QualityError, UsageError
 from telewide.geometry.arrays import FloatMap
+from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.align import ShotFacts, align_photos, shot_precision
 from telewide.stages.calibrate import CalibrateOptions, calibrate_shots
 from telewide.stages.capture_depth import ShotGeometry, depth_on_photo
-from telewide.stages.match import Matcher, read_matcher
+from telewide.stages.match import read_matcher
 from telewide.stages.observer import Observer, Silent
 from telewide.stages.prepare import CorrectedShot, at_working_size, correct_shot
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide.benchmark.memory import SGM
 from telewide.cores import Device
 from telewide.errors import UsageError
-from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import Matcher
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.stages.run_folder import RunFolder
@@ -24,27 +23,12 @@ _SUFFIX = ".safetensors"
 _STAGE_ORDER = ("rehearsal", "photometric", "feature")
 
 
-@dataclass(frozen=True)
-class Contender:
-    """Something that makes disparity of two views.
-
-    Attributes:
-        name: as it stands in tables.
-        match: (ref, src, window) to the disparity of ref.
-        window: what it was trained for, px; None where it was not trained.
-    """
-
-    name: str
-    match: Callable[[FloatMap, FloatMap, Window], DisparityMap]
-    window: Window | None = None
-
-
-def semiglobal_contender() -> Contender:
+def semiglobal_contender() -> Matcher:
     """The matcher that needs no training."""
-    return Contender(SGM, lambda ref, src, window: match_semiglobal(ref, src, window=window))
+    return Matcher(SGM, match_semiglobal)
 
 
-def all_contenders(sources: Sequence[Path], *, device: Device) -> list[Contender]:
+def all_contenders(sources: Sequence[Path], *, device: Device) -> list[Matcher]:
     """Semi-global matching, then every stage of every run in the order of training, and each run's result with both.
 
     Args:
@@ -75,7 +59,7 @@ def source_labels(sources: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(source) for source in sources]
 
 
-def _contenders_of(source: Path, label: str, *, device: Device) -> list[Contender]:
+def _contenders_of(source: Path, label: str, *, device: Device) -> list[Matcher]:
     from telewide.matching.inference import choose_device
     from telewide.training.checkpoint import load_weights
 
@@ -104,22 +88,16 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Contende
     ]
 
 
-def _network_contender(name: str, network: StereoNetwork, window: Window) -> Contender:
+def _network_contender(name: str, network: StereoNetwork, window: Window) -> Matcher:
     from telewide.matching.inference import match_with_network
 
-    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
-        return match_with_network(ref, src, network=network, window=window)
-
-    return Contender(name, match, window)
+    return Matcher(name, partial(match_with_network, network=network), window)
 
 
-def _joint_contender(name: str, network: StereoNetwork, window: Window) -> Contender:
+def _joint_contender(name: str, network: StereoNetwork, window: Window) -> Matcher:
     from telewide.matching.joint import match_jointly
 
-    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
-        return match_jointly(ref, src, network=network, window=window)
-
-    return Contender(f"{name} + {SGM}", match, window)
+    return Matcher(f"{name} + {SGM}", partial(match_jointly, network=network), window)
 
 
 def _position(path: Path) -> tuple[int, int, str]:

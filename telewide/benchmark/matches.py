@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.benchmark.contenders import Contender
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import CaptureFacts, CaptureSet, RectifiedPair, find_captures, read_pair
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatArray
+from telewide.matching.matcher import Matcher
 from telewide.matching.window import Window, joined_window
 from telewide.points.held_out import match_errors_px, summarise_errors
 from telewide.recipe import Recipe
@@ -42,7 +42,7 @@ class Entrant:
         is_corrected: whether the pairs are corrected.
     """
 
-    contender: Contender
+    contender: Matcher
     is_corrected: bool = True
 
     @property
@@ -134,7 +134,7 @@ def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
 
 def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> FloatArray:
     pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
-    disparity = entrant.contender.match(pair.tele, pair.wide, window)
+    disparity = entrant.contender.match(pair.tele, pair.wide, window=window)
     return match_errors_px(disparity.disparity_px, item.held_out)
 
 

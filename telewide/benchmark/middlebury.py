@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.benchmark.contenders import Contender
 from telewide.benchmark.datasets.middlebury import write_middlebury_captures
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
@@ -22,6 +21,7 @@ from telewide.depth.edges import follow_edges
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import Matcher
 from telewide.metrics import end_point_error_px, three_pixel_error
 
 SPLITS: dict[str, tuple[str, ...]] = {
@@ -68,7 +68,7 @@ def score_map(estimate_px: FloatMap, truth_px: FloatMap, *, skipped_columns: int
 
 def benchmark_middlebury(
     data_root: Path,
-    contenders: Sequence[Contender],
+    contenders: Sequence[Matcher],
     *,
     scenes: Sequence[str],
     factor: float,
@@ -101,7 +101,7 @@ def benchmark_middlebury(
             raise InputError(f"{captures / scene} was written and has no truth")
         for contender in contenders:
             tell(f"{scene}: {contender.name}")
-            disparity = contender.match(pair.tele, pair.wide, WINDOW)
+            disparity = contender.match(pair.tele, pair.wide, window=WINDOW)
             for follows, estimate_px in ((False, disparity.disparity_px), (True, _followed(disparity, pair))):
                 rows.append(_row(contender.name, scene, score_map(estimate_px, truth_px), follows=follows))
     options = {"scenes": list(scenes), "factor": factor, "window": WINDOW, "skipped_columns": SKIPPED_COLUMNS}

@@ -1,4 +1,4 @@
-"""The ways to match two views, by name; free of torch."""
+"""The ways to match two views, by name; imports nothing, for the command line."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +33,8 @@ from telewide.folders import fresh_folder, refuse_links
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, resize_disparity
+from telewide.matching.matcher import Match
+from telewide.matching.window import Window
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.kept_depth import (
@@ -46,8 +48,6 @@ from telewide.stages.kept_depth import (
     refuse_foreign_files,
     write_kept,
 )
-
-Match = Callable[[FloatMap, FloatMap], DisparityMap]
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,7 @@ def depth_of_capture(
     *,
     facts: CaptureFacts,
     match: Match,
+    window: Window,
     bokeh: BokehOptions | None,
     key: Mapping[str, object],
     shot: ShotGeometry | None = None,
@@ -129,7 +130,8 @@ def depth_of_capture(
         held_out: the corrected pair made from them, with the matches to judge by.
         folder: where the files go.
         facts: what the owner states.
-        match: (ref, src), both (H, W, 3) in [0, 1], to the disparity of ref.
+        match: makes the disparity.
+        window: disparities to search, px.
         bokeh: None for no bokeh picture.
         key: everything the files depend on, as plain data.
         shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
@@ -144,7 +146,7 @@ def depth_of_capture(
         if made is None:
             refuse_foreign_files(folder, (*FILE_NAMES[: None if bokeh else -1], KEPT_NAME))
             with within_memory("its depth"):
-                computed = _compute(source, held_out, facts=facts, match=match, bokeh=bokeh, shot=shot)
+                computed = _compute(source, held_out, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot)
             with fresh_folder(folder.parent) as new:
                 made = _write(new, computed, former=folder)
                 write_kept(new, made, key=key)
@@ -174,13 +176,14 @@ def _compute(
     *,
     facts: CaptureFacts,
     match: Match,
+    window: Window,
     bokeh: BokehOptions | None,
     shot: ShotGeometry | None,
 ) -> _Computed:
     """Do all that can fail, and touch no file."""
     begun_s = time.monotonic()
     pair = read_pair(held_out.capture)
-    working = match(pair.tele, pair.wide)
+    working = match(pair.tele, pair.wide, window=window)
     numbers = {"match_s": time.monotonic() - begun_s}
     photo = read_image(source.tele_path)
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)

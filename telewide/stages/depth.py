@@ -16,6 +16,7 @@ from telewide.cores import Device
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, read_json
+from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.window import Window, joined_window
 from telewide.options import parse_options
@@ -23,7 +24,6 @@ from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
 from telewide.stages.align import shot_precision
 from telewide.stages.call import Call, record
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
-from telewide.stages.match import Matcher
 from telewide.stages.observer import Observer
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import RECORD_NAME
@@ -212,7 +212,7 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
     if n_kept:
         same = "same photos, same weights, same options"
         call.observer.said(f"kept as they were: {n_kept} of {counted(len(outcomes), 'capture')}, {same}")
-    asked = {**asdict(options), "matcher": matcher.key}
+    asked = {**asdict(options), "matcher": matcher.name}
     if options.trusts_focus:
         asked["trusts_focus"] = [item.capture.name for item in prepared.pairs if _stated_focus(item) is not None]
     record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
@@ -252,7 +252,8 @@ def _depth_of(
         item.held_out,
         (options.out or call.folder.depth) / item.capture.name,
         facts=prepared.facts,
-        match=lambda ref, src: matcher.match(ref, src, window=window),
+        match=matcher.match,
+        window=window,
         bokeh=options.bokeh,
         key=_depth_key(item, matcher, window=window, options=options, shot=shot),
         shot=shot,
@@ -290,7 +291,7 @@ def _depth_key(
         "version": metadata.version("telewide"),
         "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
         "truth_sha256": None if truth is None else fingerprint(truth),
-        "matcher": matcher.key,
+        "matcher": matcher.name,
         "window": window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
         "precision": None if shot is None else asdict(shot.precision),

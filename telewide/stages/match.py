@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint
-from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
-from telewide.matching.window import Window
 from telewide.options import parse_options
 from telewide.recipe import Recipe
 from telewide.stages.call import Call
@@ -22,30 +19,6 @@ from telewide.training.options import WEIGHTS_NAME
 
 if TYPE_CHECKING:
     from telewide.training.checkpoint import WeightsCard
-
-
-class Match(Protocol):
-    """Makes disparity of two views."""
-
-    def __call__(self, ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
-        """Match views (H, W, 3) in [0, 1] within a window, px; the disparity is ref's."""
-
-
-@dataclass(frozen=True)
-class Matcher:
-    """A way to match.
-
-    Attributes:
-        match: (ref, src, window) to the disparity of ref.
-        key: what tells it from others.
-        window: disparities it was trained for, px, searched beside what the pairs need; None where it was not trained.
-        doubt: what is to be said before it is used.
-    """
-
-    match: Match
-    key: str
-    window: Window | None = None
-    doubt: str | None = None
 
 
 def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Matcher:
@@ -95,7 +68,7 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
         MissingPartError: cuda was asked for and is not there.
     """
     if method == "sgm":
-        return Matcher(match_semiglobal, "sgm")
+        return Matcher("sgm", match_semiglobal)
     if weights is None:
         raise UsageError(f"method {method} needs the weights of a network")
     from telewide.matching.inference import choose_device, match_with_network
@@ -104,7 +77,7 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
 
     network, card = load_weights(weights, device=choose_device(device))
     match = partial(match_jointly if method == "joint" else match_with_network, network=network)
-    return Matcher(match, f"{method} {fingerprint(weights)}", card.window, _unfinished(weights, card))
+    return Matcher(f"{method} {fingerprint(weights)}", match, card.window, _unfinished(weights, card))
 
 
 def _unfinished(weights: Path, card: WeightsCard) -> str | None:

@@ -35,7 +35,7 @@ def test_a_weights_file_is_a_matcher_with_its_window(tmp_path: Path, rng: np.ran
     assert [(contender.name, contender.window) for contender in found] == [("kept", (0, 32)), ("kept + sgm", (0, 32))]
     ref, src = rng.random((2, 64, 96, 3), dtype=np.float32)
     for contender in found:
-        assert contender.match(ref, src, (0, 16)).disparity_px.shape == (64, 96)
+        assert contender.match(ref, src, window=(0, 16)).disparity_px.shape == (64, 96)
 
 
 def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
 from typer.testing import CliRunner
 
-from telewide.benchmark.contenders import Contender
 from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
 from telewide.benchmark.report import BenchmarkReport
 from telewide.calibration.quality import CalibrationQuality
@@ -19,6 +18,7 @@ from telewide.cli.benchmark import benchmark_app
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import Matcher
 from telewide.matching.networks import build_network
 from telewide.matching.window import Window
 from telewide.recipe import Recipe, load_recipe
@@ -30,14 +30,14 @@ from telewide.training.checkpoint import WeightsCard, save_weights
 OFF_PX = 2.0
 
 
-def answering(name: str, disparity_px: FloatMap) -> Contender:
+def answering(name: str, disparity_px: FloatMap) -> Matcher:
     """A matcher that always gives one map."""
 
-    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
         assert ref.shape == src.shape == (*disparity_px.shape, 3)
         return DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
 
-    return Contender(name, match)
+    return Matcher(name, match)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "captures", folder / "rigs" / "phone.yaml"
 
 
-def flat(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
+def flat(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
     height, width = ref.shape[:2]
     return DisparityMap(*(np.zeros((height, width), kind) for kind in (np.float32, np.float32, np.bool_)))
 
@@ -87,7 +87,7 @@ def test_photos_are_rectified_with_the_rig_and_the_pairs_of_the_run_stay(
     prepare_captures(find_captures(captures), run, recipe=Recipe(), rig=read_rig(rig))
     pair = run.pairs / "plane" / "pair.json"
     written_ns = pair.stat().st_mtime_ns
-    entrants = [Entrant(Contender("flat", flat))]
+    entrants = [Entrant(Matcher("flat", flat))]
     report = benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None, rig=rig)
     assert pair.stat().st_mtime_ns == written_ns
     assert int(str(report.rows[0]["matches"])) > 20
@@ -97,11 +97,11 @@ def test_all_search_what_the_captures_need_and_networks_were_trained_for(capture
     searched: dict[str, Window] = {}
 
     def note(name: str, trained: Window | None) -> Entrant:
-        def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
+        def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
             searched[name] = window
-            return flat(ref, src, window)
+            return flat(ref, src, window=window)
 
-        return Entrant(Contender(name, match, trained))
+        return Entrant(Matcher(name, match, trained))
 
     run = RunFolder(tmp_path / "run")
     needed = prepare_captures(find_captures(captures), run, recipe=Recipe()).window
@@ -113,7 +113,7 @@ def test_all_search_what_the_captures_need_and_networks_were_trained_for(capture
 
 def test_pairs_that_need_a_rig_cannot_be_judged_uncorrected(photographed: tuple[Path, Path], tmp_path: Path) -> None:
     captures, rig = photographed
-    entrants, run = [Entrant(Contender("flat", flat), is_corrected=False)], RunFolder(tmp_path / "run")
+    entrants, run = [Entrant(Matcher("flat", flat), is_corrected=False)], RunFolder(tmp_path / "run")
     with pytest.raises(UsageError, match="rectified with a rig"):
         benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None, rig=rig)
     assert not run.root.exists()

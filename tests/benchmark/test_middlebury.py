@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from telewide.benchmark.contenders import Contender, semiglobal_contender
+from telewide.benchmark.contenders import semiglobal_contender
 from telewide.benchmark.datasets.middlebury import middlebury_2006_scenes
 from telewide.benchmark.middlebury import (
     SKIPPED_COLUMNS,
@@ -21,22 +21,23 @@ from telewide.capture.images import write_image
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import Matcher
 from telewide.matching.window import Window
 
 DISPARITY_PX = 9
 HW = (64, 128)
 
 
-def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Contender:
+def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Matcher:
     """A matcher that knows the answer, but in its first columns."""
 
-    def match(ref: FloatMap, src: FloatMap, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
         assert window == WINDOW
         found_px = np.full(ref.shape[:2], disparity_px, np.float32)
         found_px[:, :wrong_columns] = 70
         return DisparityMap(found_px, np.ones_like(found_px), np.ones(found_px.shape, np.bool_))
 
-    return Contender(name, match)
+    return Matcher(name, match)
 
 
 @pytest.fixture
@@ -53,7 +54,7 @@ def scenes_root(tmp_path: Path, rng: np.random.Generator) -> Path:
     return root
 
 
-def measured(root: Path, *contenders: Contender) -> BenchmarkReport:
+def measured(root: Path, *contenders: Matcher) -> BenchmarkReport:
     return benchmark_middlebury(
         root, contenders, scenes=("One", "Two"), factor=2, captures=root.parent / "captures", tell=lambda _: None
     )

@@ -21,14 +21,16 @@ from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture, on_photo
 
 HW = (60, 80)
 FACTS = CaptureFacts(rectified=True)
+WINDOW = (0, 32)
 
 
-def stepped(_ref: FloatMap, _src: FloatMap) -> DisparityMap:
+def stepped(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
     """Far on the left, near on the right."""
     disparity_px = np.where(np.arange(HW[1]) < HW[1] // 2, 4.0, 12.0)[None].repeat(HW[0], axis=0).astype(np.float32)
     return DisparityMap(disparity_px, np.ones(HW, np.float32), np.ones(HW, np.bool_))
@@ -45,7 +47,9 @@ def capture(tmp_path: Path, rng: np.random.Generator) -> Capture:
 def made(capture: Capture, folder: Path, *, bokeh: BokehOptions, facts: CaptureFacts = FACTS) -> DepthOutcome:
     held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
     key = {"bokeh": vars(bokeh), "baseline_m": facts.baseline_m}
-    outcome = depth_of_capture(capture, held_out, folder, facts=facts, match=stepped, bokeh=bokeh, key=key)
+    outcome = depth_of_capture(
+        capture, held_out, folder, facts=facts, match=stepped, window=WINDOW, bokeh=bokeh, key=key
+    )
     assert isinstance(outcome, DepthOutcome)
     return outcome
 
@@ -60,7 +64,7 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
     assert any("`f_number`" in note and "`strength`" in note for note in outcome.notes)
     known = CaptureFacts(rectified=True, baseline_m=0.012)
     assert picture in made(capture, tmp_path / "run", bokeh=wide_open, facts=known).paths
-    disparity = stepped(np.zeros(HW), np.zeros(HW))
+    disparity = stepped(np.zeros(HW), np.zeros(HW), window=WINDOW)
     with pytest.raises(UsageError, match="`strength`"):
         bokeh_picture(np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
 
@@ -90,7 +94,8 @@ def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Cap
             HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
             tmp_path,
             facts=CaptureFacts(),
-            match=lambda _ref, _src: seen,
+            match=lambda ref, src, *, window: seen,
+            window=WINDOW,
             bokeh=BokehOptions(focus="40,30"),
             key={"known": known is not None, "shift_px": shift_px},
             shot=ShotGeometry(geometry, DepthPrecision(lens_shift_std_px=shift_px), known=known),
@@ -141,7 +146,9 @@ def test_what_fails_leaves_earlier_results_alone(capture: Capture, tmp_path: Pat
     truth_path.write_bytes(b"torn")
     torn = dataclasses.replace(capture, truth_path=truth_path)
     held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
-    failed = depth_of_capture(torn, held_out, folder, facts=FACTS, match=stepped, bokeh=None, key={"truth": "torn"})
+    failed = depth_of_capture(
+        torn, held_out, folder, facts=FACTS, match=stepped, window=WINDOW, bokeh=None, key={"truth": "torn"}
+    )
     assert isinstance(failed, DepthFailure)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
@@ -166,6 +173,7 @@ def test_a_truth_that_knows_nothing_is_said_and_judges_nothing(capture: Capture,
         tmp_path / "a",
         facts=FACTS,
         match=stepped,
+        window=WINDOW,
         bokeh=None,
         key={},
     )
@@ -176,7 +184,7 @@ def test_a_truth_that_knows_nothing_is_said_and_judges_nothing(capture: Capture,
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
 def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path: Path, error: Exception) -> None:
-    def greedy(ref: np.ndarray, src: np.ndarray) -> DisparityMap:
+    def greedy(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
         raise error
 
     outcome = depth_of_capture(
@@ -185,6 +193,7 @@ def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path
         tmp_path,
         facts=FACTS,
         match=greedy,
+        window=WINDOW,
         bokeh=None,
         key={},
     )
@@ -196,13 +205,13 @@ def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path
 def depth_made(capture: Capture, folder: Path, *, bokeh: BokehOptions | None, turn: int) -> DepthOutcome | DepthFailure:
     """Depth by a match that differs from turn to turn."""
 
-    def match(ref: FloatMap, src: FloatMap) -> DisparityMap:
-        seen = stepped(ref, src)
+    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+        seen = stepped(ref, src, window=window)
         return dataclasses.replace(seen, disparity_px=seen.disparity_px + np.float32(turn))
 
     held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
     key: dict[str, object] = {"turn": turn, "bokeh": bokeh is not None}
-    return depth_of_capture(capture, held_out, folder, facts=FACTS, match=match, bokeh=bokeh, key=key)
+    return depth_of_capture(capture, held_out, folder, facts=FACTS, match=match, window=WINDOW, bokeh=bokeh, key=key)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -175,7 +175,7 @@ def late(*args, **kwargs):
 
 def noted(*args, **kwargs):
     matcher = read_matcher(*args, **kwargs)
-    Path(f"loaded_{this_process().rank}").write_text(matcher.key)
+    Path(f"loaded_{this_process().rank}").write_text(matcher.name)
     return matcher
 
 loop.save_weights, match.read_matcher = late, noted
