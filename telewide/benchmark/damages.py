@@ -72,7 +72,7 @@ class Damages(Options):
 
     format: Literal[1]
     factors: tuple[Annotated[float, Field(ge=1)], ...]
-    """How many times fewer pixels the view has along each side."""
+    """Factors of the tables: times fewer pixels along each side."""
     damages: dict[str, Damage]
 
 

@@ -45,8 +45,13 @@ def describe_machine() -> dict[str, object]:
         "cores": usable_cores(),
         "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
-        "versions": {name: _version(name) for name in _PACKAGES},
+        "versions": library_versions(),
     }
+
+
+def library_versions() -> dict[str, str | None]:
+    """State the versions of what computes; None for what is not installed."""
+    return {name: _version(name) for name in _PACKAGES}
 
 
 def write_report_json(report: BenchmarkReport, path: Path) -> None:

@@ -143,6 +143,49 @@ def metres(
     _hand_over(report, metres_table(report), json_file)
 
 
+@benchmark_app.command(epilog="Example: `telewide benchmark paper --table overall --data data/ --systems sgm`")
+def paper(
+    *,
+    table: Annotated[str | None, typer.Option(metavar="NAME", help="Which table; see --list-tables.")] = None,
+    data: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Holds the data sets.")] = None,
+    systems: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Rows; see --list-systems. [default: those of the table]")
+    ] = None,
+    damages: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Of the second view. [default: those of the table]")
+    ] = None,
+    budget: Annotated[float, typer.Option(metavar="MIN", min=0.01, help="Minutes of each training.")] = 8.0,
+    seeds: Annotated[int, typer.Option(min=1, help="How many; the mean is shown.")] = 1,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Keeps cells, and the table in three formats.")] = Path(
+        "paper"
+    ),
+    list_tables: Annotated[bool, typer.Option("--list-tables", help="Print the tables and leave.")] = False,
+    list_systems: Annotated[bool, typer.Option("--list-systems", help="Print the systems and leave.")] = False,
+) -> None:
+    """Reproduce a table of the publication on the data sets you have; kept cells are not computed again."""
+    from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
+    from telewide.benchmark.paper.systems import SYSTEMS
+    from telewide.benchmark.paper.tables import find_table, load_tables
+
+    if list_tables or list_systems:
+        known = load_tables() if list_tables else SYSTEMS
+        say("\n".join(f"{name}: {entry.title}" for name, entry in known.items()), is_answer=True)
+        return
+    if table is None or data is None:
+        raise UsageError("--table and --data were expected", hint="--list-tables names the tables")
+    wanted = find_table(table)
+    options = PaperOptions(data, out, systems=_names(systems), damages=_names(damages), budget_min=budget, seeds=seeds)
+    report = benchmark_table(wanted, options, tell=_tell)
+    say(paper_table(wanted, report), is_answer=True)
+    for note in report.notes:
+        _tell(f"note: {note}")
+    _tell("wrote " + ", ".join(str(path) for path in write_table(wanted, report, out)))
+
+
+def _names(text: str | None) -> tuple[str, ...]:
+    return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
 def _run_of(source: Path) -> Path:
     """The run folder itself, or the one a weights file lies in."""
     return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source

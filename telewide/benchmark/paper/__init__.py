@@ -1,0 +1,1 @@
+"""The published comparison, table by table, for the systems and the data sets that are there."""

@@ -1,0 +1,245 @@
+"""The cells of a table: one system in one column, computed once and kept by the fingerprint of all it depends on.
+
+``OUT/cells/<fingerprint>/cell.json`` holds what was asked and the scores of each scene. Several processes, on one
+machine or on several with a folder in common, share the cells: each takes those that nobody is at.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn, cast
+
+import numpy as np
+
+from telewide.benchmark.damages import Damages, find_damage
+from telewide.benchmark.datasets.protocols import Scene, find_protocol, search_window, select_scenes
+from telewide.benchmark.datasets.truth import StereoTruth
+from telewide.benchmark.paper.systems import System, Task, Tell, source_fingerprint
+from telewide.benchmark.paper.tables import Column
+from telewide.benchmark.report import library_versions
+from telewide.benchmark.scores import score_regions
+from telewide.errors import TelewideError
+from telewide.files import read_json, write_text
+from telewide.folders import alone_in
+from telewide.text import json_text
+
+FORMAT = 1
+CELL_FILE = "cell.json"
+_TEST, _TRAINING, _VALIDATION = "test", "training", "validation"
+_MEASURING = ("benchmark.scores", "metrics", "benchmark.damages", "simulate.degrade")
+Row = Mapping[str, object]
+
+
+class _TakenError(Exception):
+    """Another process is at this cell."""
+
+
+@dataclass(frozen=True)
+class CellPlan:
+    """One system in one column with one seed.
+
+    Attributes:
+        system: what answers.
+        column: what is asked.
+        task: what the system may learn from.
+        scenes: to be judged by.
+    """
+
+    system: System
+    column: Column
+    task: Task
+    scenes: tuple[Scene, ...]
+
+
+@dataclass
+class Cells:
+    """The kept cells below one folder.
+
+    Attributes:
+        out: the folder.
+        tell: hears how far it is.
+        problems: cells that could not be computed, and why.
+    """
+
+    out: Path
+    tell: Tell
+    problems: list[str] = field(default_factory=list)
+    _fingerprints: dict[tuple[str, str, str], str] = field(default_factory=dict)
+
+    def rows(self, plans: Sequence[CellPlan]) -> Iterator[tuple[CellPlan, list[Row]]]:
+        """Yield each plan with its rows; a cell that another process is at comes last.
+
+        What cannot be computed is added to the problems, and the others go on.
+
+        Args:
+            plans: the cells that are wanted.
+        """
+        taken = []
+        for plan in plans:
+            try:
+                rows = self._rows(plan, waits=False)
+            except _TakenError:
+                taken.append(plan)
+                continue
+            yield plan, rows
+        for plan in taken:
+            yield plan, self._rows(plan, waits=True)
+
+    def key(self, plan: CellPlan) -> dict[str, object]:
+        """Everything the scores of a cell depend on, as plain data."""
+        key: dict[str, object] = {
+            "format": FORMAT,
+            "system": plan.system.name,
+            "sources": source_fingerprint([*plan.system.sources, *_MEASURING]),
+            "versions": library_versions(),
+            "scenes": [self._fingerprint(scene) for scene in plan.scenes],
+            "window": list(plan.task.window) if plan.scenes[0].protocol.window_px else None,
+            "damage": plan.task.damage.model_dump(mode="json", exclude={"description"}),
+            "factor": plan.column.factor,
+            "seed": plan.task.seed,
+        }
+        if plan.system.learns:
+            key |= {
+                "training": [self._fingerprint(scene) for scene in plan.task.training],
+                "validation": [self._fingerprint(scene) for scene in plan.task.validation],
+                "budget_min": plan.task.budget_min,
+            }
+        return key
+
+    def _rows(self, plan: CellPlan, *, waits: bool) -> list[Row]:
+        try:
+            return self._kept_or_computed(plan, waits=waits)
+        except TelewideError as error:
+            self.problems.append(f"{plan.system.title}, {plan.column.heading}: {error.message}")
+            return []
+
+    def _kept_or_computed(self, plan: CellPlan, *, waits: bool) -> list[Row]:
+        key = self.key(plan)
+        digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]
+        folder = self.out / "cells" / digest
+        if (rows := _kept(folder / CELL_FILE, key)) is not None:
+            return rows
+        folder.mkdir(parents=True, exist_ok=True)
+        with alone_in(folder, waiting=self.tell if waits else _give_way):
+            if (rows := _kept(folder / CELL_FILE, key)) is not None:  # made by whoever was waited for
+                return rows
+            rows = self._computed(plan)
+            write_text(folder / CELL_FILE, json_text({"key": key, "rows": rows}, indent=2) + "\n")
+            return rows
+
+    def _computed(self, plan: CellPlan) -> list[Row]:
+        self.tell(f"{plan.system.title}: {plan.column.heading}")
+        matchers = plan.system.prepare(plan.task, self.out / "systems" / plan.system.name, self.tell)
+        rows: list[Row] = []
+        for scene in plan.scenes:
+            truth = plan.task.asymmetric(scene.name, scene.read())
+            if not np.isfinite(truth.disparity_px).any():
+                self.tell(f"{scene.name}: no disparity is known, left out")
+                continue
+            window = search_window(scene.protocol, truth)
+            for weights, match in matchers.items():
+                scores = score_regions(match(truth.left, truth.right, window), truth)
+                rows += [
+                    {"scene": scene.name, "weights": weights, "region": region} | asdict(score)
+                    for region, score in scores.items()
+                ]
+        return rows
+
+    def _fingerprint(self, scene: Scene) -> str:
+        place = (str(scene.root), scene.name, scene.protocol.model_dump_json())
+        if place not in self._fingerprints:
+            self._fingerprints[place] = f"{scene.data_set.name}/{scene.name} {_content_fingerprint(scene.read())}"
+        return self._fingerprints[place]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Settings that all cells of a table share.
+
+    Attributes:
+        data_root: holds the data sets.
+        damages: those there are.
+        seed: of everything drawn.
+        budget_min: minutes of each training.
+    """
+
+    data_root: Path
+    damages: Damages
+    seed: int
+    budget_min: float
+
+
+def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tuple[list[CellPlan], list[str]]:
+    """Find the scenes of a column and plan its cells.
+
+    Args:
+        column: of a table.
+        systems: to be asked.
+        wanted: where and how.
+
+    Returns:
+        The plans, none where the test scenes are not there; and notes on what is missing or stands in for it.
+
+    Raises:
+        UsageError: there is no data folder or no such damage.
+    """
+    name, scenes, notes = _first_there(column.test, wanted.data_root, _TEST)
+    if name is None:
+        return [], notes
+    if name != column.test[0]:
+        notes = [f"{column.data_set}: {name} stands in for {column.test[0]}, so published values are of other scenes"]
+    _, training, _ = _first_there(column.training, wanted.data_root, _TRAINING)
+    _, validation, _ = _first_there(column.training, wanted.data_root, _VALIDATION)
+    unseen = {(scene.root, scene.name) for scene in scenes}
+    training, validation = (
+        tuple(scene for scene in known if (scene.root, scene.name) not in unseen) for known in (training, validation)
+    )
+    task = Task(
+        training=training,
+        validation=validation,
+        window=scenes[0].protocol.window_px or search_window(scenes[0].protocol, scenes[0].read()),
+        damage=find_damage(column.damage, wanted.damages),
+        factor=column.factor,
+        seed=wanted.seed,
+        budget_min=wanted.budget_min,
+    )
+    return [CellPlan(system, column, task, scenes) for system in systems], notes
+
+
+def _first_there(names: Sequence[str], data_root: Path, split: str) -> tuple[str | None, tuple[Scene, ...], list[str]]:
+    """Name and scenes of the first protocol whose split has any; one without splits is a test of all its scenes."""
+    notes: list[str] = []
+    for name in names:
+        protocol = find_protocol(name)
+        if split not in protocol.splits and (protocol.splits or split != _TEST):
+            continue
+        selection = select_scenes(protocol, data_root, split=split if protocol.splits else None)
+        if selection.scenes:
+            return name, selection.scenes, [*selection.notes]
+        notes += [note for note in selection.notes if note not in notes]
+    return None, (), notes
+
+
+def _kept(path: Path, key: Mapping[str, object]) -> list[Row] | None:
+    try:
+        content = cast(dict[str, Any], read_json(path))
+        if content["key"] != json.loads(json.dumps(key)):
+            return None
+        return [dict(row) for row in content["rows"]]
+    except (TelewideError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _give_way(_message: str) -> NoReturn:
+    raise _TakenError
+
+
+def _content_fingerprint(truth: StereoTruth) -> str:
+    digest = hashlib.sha256()
+    for array in (truth.left, truth.right, truth.disparity_px, truth.occluded):
+        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:24]

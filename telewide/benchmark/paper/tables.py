@@ -1,0 +1,157 @@
+"""The tables of the publication and their values, from ``tables.yaml``."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from telewide.errors import InputError, UsageError
+from telewide.files import read_yaml
+from telewide.options import Options, parse_options
+
+TABLES_FILE = Path(__file__).with_name("tables.yaml")
+_NONE = "-"
+
+
+@dataclass(frozen=True)
+class Published:
+    """Published errors of one cell.
+
+    Attributes:
+        off_3px_5percent: 3PE, per cent.
+        end_point_error_px: EPE; None where it is not stated.
+    """
+
+    off_3px_5percent: float
+    end_point_error_px: float | None
+
+    def __str__(self) -> str:
+        """As it stands in the brackets of a table."""
+        end_point = "" if self.end_point_error_px is None else f" / {self.end_point_error_px:.2f}"
+        return f"{self.off_3px_5percent:.2f}{end_point}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """Data, damage and factor that the cells of a column share.
+
+    Attributes:
+        data_set: its name in the tables.
+        test: names of protocols; the first whose scenes are there is taken.
+        training: likewise for what is trained.
+        damage: name of the damage of the second view.
+        factor: how many times fewer pixels it has along each side.
+    """
+
+    data_set: str
+    test: tuple[str, ...]
+    training: tuple[str, ...]
+    damage: str
+    factor: float
+
+    @property
+    def heading(self) -> str:
+        """As it stands above the column."""
+        return f"{self.data_set} {self.damage} x{self.factor:g}"
+
+
+class _DataSet(Options):
+    test: Annotated[tuple[str, ...], Field(min_length=1)]
+    training: Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+class _Table(Options):
+    title: str
+    data_sets: Annotated[tuple[str, ...], Field(min_length=1)]
+    damages: Annotated[tuple[str, ...], Field(min_length=1)]
+    factors: Annotated[tuple[float, ...], Field(min_length=1)]
+    rows: dict[str, str]
+
+
+class _File(Options):
+    format: Literal[1]
+    data_sets: dict[str, _DataSet]
+    tables: dict[str, _Table]
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table.
+
+    Attributes:
+        name: by which it is asked for.
+        title: for people.
+        columns: from left to right.
+        rows: by the name of the system, the published values, as many as columns; None where there is none.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: dict[str, tuple[Published | None, ...]]
+
+
+def load_tables(*, path: Path = TABLES_FILE) -> dict[str, Table]:
+    """Read a file of tables.
+
+    Args:
+        path: YAML of the form of ``tables.yaml``.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: no YAML, an unknown key, or as many values in a row as there are not columns.
+    """
+    content = parse_options(_File, read_yaml(path) or {}, source=str(path), error=InputError)
+    return {name: _table(name, table, content.data_sets, path) for name, table in content.tables.items()}
+
+
+def find_table(name: str) -> Table:
+    """Find a table by its name.
+
+    Args:
+        name: of the table.
+
+    Raises:
+        UsageError: there is no such table; the nearest name is told.
+    """
+    tables = load_tables()
+    if name not in tables:
+        nearest = difflib.get_close_matches(name, tables, n=1)
+        hint = f"did you mean {nearest[0]}?" if nearest else None
+        raise UsageError(f"unknown table {name!r}; known: {', '.join(tables)}", hint=hint)
+    return tables[name]
+
+
+def _table(name: str, table: _Table, data_sets: dict[str, _DataSet], path: Path) -> Table:
+    unknown = [data_set for data_set in table.data_sets if data_set not in data_sets]
+    if unknown:
+        raise InputError(f"{path}: table {name} names {', '.join(unknown)}, which data_sets does not describe")
+    columns = tuple(
+        Column(data_set, data_sets[data_set].test, data_sets[data_set].training, damage=damage, factor=factor)
+        for data_set in table.data_sets
+        for damage in table.damages
+        for factor in table.factors
+    )
+    rows = {system: _values(text, len(columns), f"{path}: {name}, {system}") for system, text in table.rows.items()}
+    return Table(name, table.title, columns, rows)
+
+
+def _values(text: str, expected: int, source: str) -> tuple[Published | None, ...]:
+    words = text.split()
+    if words == [_NONE]:
+        return (None,) * expected
+    if len(words) != expected:
+        raise InputError(f"{source}: {len(words)} values; one for each of the {expected} columns was expected")
+    try:
+        return tuple(None if word == _NONE else _value(word) for word in words)
+    except ValueError as error:
+        raise InputError(f"{source}: values such as 12.41/1.849 were expected; {error}") from error
+
+
+def _value(word: str) -> Published:
+    off, _, end_point = word.partition("/")
+    return Published(float(off), float(end_point) if end_point else None)

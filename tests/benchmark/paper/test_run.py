@@ -1,0 +1,188 @@
+"""Tables of small scenes with known disparity: cells are kept, shared, and made anew when what they depend on is."""
+
+from __future__ import annotations
+
+import csv
+import json
+import multiprocessing
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from telewide.benchmark.datasets.catalogue import DATA_SETS
+from telewide.benchmark.paper import systems as systems_module
+from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
+from telewide.benchmark.paper.systems import SYSTEMS, Matcher, System, Task, Tell, match_like_opencv
+from telewide.benchmark.paper.tables import Column, Published, Table
+from telewide.capture.images import write_image, write_pfm
+from telewide.cli.app import app
+from telewide.errors import InputError, UsageError
+
+DISPARITY_PX = 6
+HW = (64, 128)
+COLUMNS = tuple(Column("Own", ("captures",), ("captures",), damage, 2.0) for damage in ("BIC", "IG"))
+TABLE = Table("own", "Own photos", COLUMNS, {"known": (Published(12.34, 1.5), None), "not-built": (None, None)})
+
+
+@pytest.fixture
+def data(tmp_path: Path, rng: np.random.Generator) -> Path:
+    for scene in ("one", "two"):
+        noise = rng.random((HW[0], HW[1] + DISPARITY_PX, 3), dtype=np.float32)
+        canvas = np.clip(cv2.GaussianBlur(noise, (0, 0), 1.5) * 4 - 1.5, 0, 1)
+        folder = tmp_path / "data" / "captures" / scene
+        write_image(folder / "tele.png", canvas[:, : HW[1]])
+        write_image(folder / "wide.png", canvas[:, DISPARITY_PX:])
+        write_pfm(folder / "truth.pfm", np.full(HW, DISPARITY_PX, np.float32))
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
+    """The tasks that a system which is off by 4 px is given."""
+    tasks: list[Task] = []
+
+    def prepare(task: Task, folder: Path, tell: Tell) -> Mapping[str, Matcher]:
+        tasks.append(task)
+        wrong = np.full(HW, DISPARITY_PX + 4, np.float32)
+        return {"last": lambda ref, src, window: wrong, "best": lambda ref, src, window: wrong - 4}
+
+    monkeypatch.setitem(SYSTEMS, "known", System("known", "Known", prepare, ("metrics",)))
+    return tasks
+
+
+def options(data: Path, **changes: object) -> PaperOptions:
+    return replace(PaperOptions(data, data.parent / "out"), **changes)
+
+
+def test_cells_are_kept(data: Path, asked: list[Task]) -> None:
+    report = benchmark_table(TABLE, options(data), tell=lambda _: None)
+    assert len(asked) == 2
+    assert benchmark_table(TABLE, options(data), tell=lambda _: None).rows == report.rows
+    assert len(asked) == 2
+    benchmark_table(TABLE, options(data, seeds=2), tell=lambda _: None)
+    assert len(asked) == 4
+    benchmark_table(TABLE, options(data, budget_min=1.0), tell=lambda _: None)
+    assert len(asked) == 6
+
+
+def test_a_changed_picture_makes_its_cells_anew(data: Path, asked: list[Task]) -> None:
+    benchmark_table(TABLE, options(data), tell=lambda _: None)
+    write_pfm(data / "captures/two/truth.pfm", np.full(HW, DISPARITY_PX + 1, np.float32))
+    benchmark_table(TABLE, options(data), tell=lambda _: None)
+    assert len(asked) == 4
+
+
+def test_a_changed_system_makes_its_own_cells_anew(
+    data: Path, asked: list[Task], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = replace(SYSTEMS["known"], name="other")
+    monkeypatch.setitem(SYSTEMS, "other", other)
+    both = options(data, systems=("known", "other"), damages=("bic",))
+    benchmark_table(TABLE, both, tell=lambda _: None)
+    assert len(asked) == 2
+    monkeypatch.setitem(SYSTEMS, "other", replace(other, sources=("metrics", "srgb")))
+    benchmark_table(TABLE, both, tell=lambda _: None)
+    assert len(asked) == 3
+
+
+def test_cut_off_cells_are_made_again(data: Path, asked: list[Task]) -> None:
+    benchmark_table(TABLE, options(data), tell=lambda _: None)
+    for path in (data.parent / "out" / "cells").glob("*/cell.json"):
+        path.write_text(path.read_text()[:50])
+    benchmark_table(TABLE, options(data), tell=lambda _: None)
+    assert len(asked) == 4
+
+
+def test_the_table_shows_both_weights_and_what_is_published(data: Path, asked: list[Task]) -> None:
+    report = benchmark_table(TABLE, options(data), tell=lambda _: None)
+    lines = paper_table(TABLE, report).splitlines()
+    last = [cell.strip() for cell in lines[2].split("|")[1:-1]]
+    best = [cell.strip() for cell in lines[3].split("|")[1:-1]]
+    assert last == ["Known, last weights", "100.00 / 4.00 (12.34 / 1.50)", "100.00 / 4.00"]
+    assert best == ["Known, best weights", "0.00 / 0.00 (12.34 / 1.50)", "0.00 / 0.00"]
+    assert any("not-built" in note for note in report.notes)
+    paths = write_table(TABLE, report, data.parent / "out")
+    assert "budget" in paths[0].read_text().lower()
+    rows = list(csv.DictReader(paths[1].read_text().splitlines()))
+    assert len(rows) == len(report.rows) == 2 * 2 * 2
+    assert json.loads(paths[2].read_text())["machine"]["versions"]["numpy"]
+
+
+def test_what_fails_leaves_the_other_cells(data: Path, asked: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(task: Task, folder: Path, tell: Tell) -> Mapping[str, Matcher]:
+        raise InputError("no weights")
+
+    monkeypatch.setitem(SYSTEMS, "broken", replace(SYSTEMS["known"], name="broken", title="Broken", prepare=refuse))
+    report = benchmark_table(TABLE, options(data, systems=("broken", "known")), tell=lambda _: None)
+    assert {row["system"] for row in report.rows} == {"known"}
+    assert any("Broken" in note and "no weights" in note for note in report.notes)
+    with pytest.raises(InputError, match="no cell"):
+        benchmark_table(TABLE, options(data, systems=("broken",)), tell=lambda _: None)
+
+
+def test_missing_data_and_slips(data: Path, asked: list[Task]) -> None:
+    (data / "captures").rename(data / "elsewhere")
+    with pytest.raises(InputError, match="no data set of the table") as caught:
+        benchmark_table(TABLE, options(data), tell=lambda _: None)
+    assert DATA_SETS["captures"].source in (caught.value.hint or "")
+    with pytest.raises(UsageError, match="unknown system"):
+        benchmark_table(TABLE, options(data, systems=("knwon",)), tell=lambda _: None)
+    with pytest.raises(UsageError, match="none of the damages"):
+        benchmark_table(TABLE, options(data, damages=("AG",)), tell=lambda _: None)
+
+
+def _one_process(data: Path, log: Path) -> None:
+    def slow(task: Task, folder: Path, tell: Tell) -> Mapping[str, Matcher]:
+        with log.open("a") as stream:
+            stream.write("computed\n")
+        time.sleep(0.5)
+        return {"": lambda ref, src, window: np.zeros(HW, np.float32)}
+
+    systems_module.SYSTEMS["slow"] = System("slow", "Slow", slow, ("metrics",))
+    benchmark_table(TABLE, options(data, systems=("slow",)), tell=lambda _: None)
+
+
+def test_processes_share_cells(data: Path, tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    log = tmp_path / "log"
+    processes = [context.Process(target=_one_process, args=(data, log)) for _ in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(60)
+        assert process.exitcode == 0
+    assert log.read_text().splitlines() == ["computed"] * len(COLUMNS)
+
+
+def test_opencv_sees_the_pairs_the_right_way_round(rng: np.random.Generator) -> None:
+    canvas = cv2.GaussianBlur(rng.random((HW[0], HW[1] + 8, 3), dtype=np.float32), (0, 0), 1.2)
+    canvas = np.clip((canvas - 0.5) * 4 + 0.5, 0, 1)
+    for true_px, window in ((8, (0, 16)), (-8, (-16, 16))):
+        left, right = canvas[:, : HW[1]], canvas[:, 8:]
+        ref, src = (left, right) if true_px > 0 else (right, left)
+        found_px = match_like_opencv(ref, src, window)
+        assert np.isfinite(found_px).all()
+        assert np.median(np.abs(found_px[:, 24:-24] - true_px)) < 0.5
+
+
+def test_lists_and_a_table_by_the_command(data: Path) -> None:
+    run = CliRunner()
+    tables = run.invoke(app, ["benchmark", "paper", "--list-tables"])
+    assert tables.exit_code == 0
+    assert "overall: Every system" in tables.stdout
+    assert "sgm-opencv: SGM (OpenCV)" in run.invoke(app, ["benchmark", "paper", "--list-systems"]).stdout
+    scene = data / "middlebury_2014" / "Own"
+    for name, view in (("im0.png", "tele.png"), ("im1.png", "wide.png"), ("disp0.pfm", "truth.pfm")):
+        scene.mkdir(parents=True, exist_ok=True)
+        (scene / name).write_bytes((data / "captures/one" / view).read_bytes())
+    words = ["--table", "open", "--data", str(data), "--damages", "GAIN", "--out", str(data.parent / "out")]
+    result = run.invoke(app, ["benchmark", "paper", *words, "--systems", "sgm-opencv"])
+    assert result.exit_code == 0, result.output
+    assert "Middlebury 2014 GAIN x4" in result.stdout
+    assert (data.parent / "out" / "open.md").is_file()
