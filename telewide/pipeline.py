@@ -21,6 +21,7 @@ from telewide.stages.match import choose_matcher
 from telewide.stages.observer import Observer
 from telewide.stages.prepare import prepare
 from telewide.stages.report import report
+from telewide.stages.run_folder import locate_run_of_depth
 
 if TYPE_CHECKING:
     from telewide.stages.train import TrainOutcome
@@ -83,10 +84,11 @@ def depth_captures(
         InputError: no capture could be used.
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
-    device = "cpu" if options.method == "sgm" else options.device
+    is_untrained = options.method == "sgm"
+    device = "cpu" if is_untrained else options.device
     with begun(
         captures_root,
-        run=run,
+        run=locate_run_of_depth(run, captures_root, out=options.out, needs_training=not is_untrained),
         recipe=recipe,
         device=device,
         observer=observer,

@@ -93,13 +93,16 @@ def measure_peak_here(case: MemoryCase) -> MemoryPeak:
 
 
 def peak_resident_bytes() -> int:
-    """Most memory this process has had in RAM so far."""
+    """Tell the most memory this process has had in RAM so far; 0 where the system does not tell."""
     # Linux hands ru_maxrss of the parent on to the child it starts; the line of the child itself is right.
     if _STATUS.is_file():
         line = next((line for line in _STATUS.read_text().splitlines() if line.startswith("VmHWM:")), "")
         if line:
             return int(line.split()[1]) * 1024
-    import resource
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0
 
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -40,7 +40,7 @@ def depth(
     *,
     # torchrun takes what begins like its own --run-path for itself: hence a second name.
     run: Annotated[
-        Path | None, typer.Option("--run", "--run-folder", help="Run folder of a training. [default: run/]")
+        Path | None, typer.Option("--run", "--run-folder", help="Run folder of a training. [default: as train has it]")
     ] = None,
     weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
     method: MethodOption = "joint",

@@ -24,7 +24,7 @@ from telewide.cli.arguments import (
 from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cli.depth import bokeh_options, depth_as_json, depth_options, say_depth, why_not_good
 
-RUN_EPILOG = "Example: `telewide run examples/captures --recipe quick`"
+RUN_EPILOG = "Example: `telewide run captures/ --recipe quick`"
 
 
 def run_everything(
@@ -32,7 +32,9 @@ def run_everything(
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
-    out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Run folder. [default: run/ here, else beside the captures]")
+    ] = None,
     settings: SetOption = None,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,

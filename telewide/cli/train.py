@@ -27,7 +27,9 @@ def train(
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
-    out: Annotated[Path | None, typer.Option("--out", help="Run folder. [default: run/]")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Run folder. [default: run/ here, else beside the captures]")
+    ] = None,
     settings: SetOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
     rig: RigOption = None,

@@ -12,6 +12,8 @@ from telewide.depth.result import DepthResult
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 
+BEHIND_SHARE = 0.9
+"""Where so much of a photo has a negative disparity, the lenses rather stand the other way round."""
 HARDLY_KNOWN_SHARE = 0.5
 """A depth whose standard deviation is a larger share of it is hardly known."""
 MEANINGLESS_SHARE = 1.0
@@ -107,6 +109,32 @@ def without_meaningless_metres(result: DepthResult) -> tuple[DepthResult, str | 
         "rig from photos of a board gives metres"
     )
     return replace(result, depth_m=None, depth_std_m=None), told
+
+
+def without_depth_behind(result: DepthResult) -> tuple[DepthResult, str | None]:
+    """Take metres away where most of them would lie behind the cameras, and say so of disparities that look like it.
+
+    Args:
+        result: of photos that were rectified when they came.
+
+    Returns:
+        The result, without such metres; and what to say of it, None where all is well.
+    """
+    disparity_px = result.disparity.disparity_px
+    is_known = np.isfinite(disparity_px)
+    share = float((disparity_px[is_known] + result.doffs_px < 0).mean()) if is_known.any() else 0.0
+    if share < BEHIND_SHARE:
+        return result, None
+    side = (
+        "if wide stands on the other side of tele, near and far are exchanged: turn both photos by 180 degrees and "
+        "state rotated_deg: 180"
+    )
+    if result.depth_m is None:
+        return result, f"{result.name}: {share:.0%} of its disparities are negative; {side}"
+    told = (
+        f"{result.name}: no depth in metres: {share:.0%} of it would lie behind the cameras; state doffs_px, or {side}"
+    )
+    return replace(result, depth_m=None), told
 
 
 def _typical_std_share(result: DepthResult) -> float | None:

@@ -24,7 +24,12 @@ from telewide.depth.edges import follow_edges
 from telewide.depth.export import write_depth
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
-from telewide.depth.precision_notes import hardly_known_notes, pinned_shot, without_meaningless_metres
+from telewide.depth.precision_notes import (
+    hardly_known_notes,
+    pinned_shot,
+    without_depth_behind,
+    without_meaningless_metres,
+)
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError, within_memory
@@ -46,6 +51,7 @@ from telewide.stages.kept_depth import (
     put_in_place,
     read_kept,
     refuse_foreign_files,
+    refuse_results_of_another,
     write_kept,
 )
 
@@ -144,12 +150,13 @@ def depth_of_capture(
         refuse_links(folder.parent, folder)
         lying = made = read_kept(folder, key)
         if made is None:
+            refuse_results_of_another(folder, source.tele_path)
             refuse_foreign_files(folder, (*FILE_NAMES[: None if bokeh else -1], KEPT_NAME))
             with within_memory("its depth"):
                 computed = _compute(source, held_out, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot)
             with fresh_folder(folder.parent) as new:
                 made = _write(new, computed, former=folder)
-                write_kept(new, made, key=key)
+                write_kept(new, made, key=key, source=source.tele_path)
                 put_in_place(new, folder)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -263,7 +270,10 @@ def depth_on_photo(
         The result, what a person should know of its metres, and why it has none where they would mean nothing.
     """
     if shot is None:
-        return depth_result(name, on_photo(working, photo), facts=facts), (), None
+        stated = depth_result(name, on_photo(working, photo), facts=facts)
+        result, told = without_depth_behind(stated)
+        is_withheld = stated.depth_m is not None and result.depth_m is None
+        return result, () if told is None else (told,), told if is_withheld else None
     return _result_of_shot(name, working, photo, shot=shot)
 
 

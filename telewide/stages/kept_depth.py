@@ -83,6 +83,27 @@ def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
         )
 
 
+def refuse_results_of_another(folder: Path, source: Path) -> None:
+    """Refuse to replace what was made of another photo that is still there: two sets may name their captures alike.
+
+    Args:
+        folder: of one capture.
+        source: its tele photo.
+
+    Raises:
+        UsageError: what lies there was made of another photo.
+    """
+    try:
+        content = read_json(folder / KEPT_NAME)
+    except TelewideError:
+        return
+    made_of = content.get("source") if isinstance(content, dict) else None
+    if isinstance(made_of, str) and Path(made_of).is_file() and not Path(made_of).samefile(source):
+        raise UsageError(
+            f"{folder} holds the depth of another photo, {made_of}", hint="name another folder with `out` or `run`"
+        )
+
+
 def listed_files(folder: Path) -> frozenset[str]:
     """Names of the files in a folder that telewide wrote, ``depth.json`` among them; empty where nothing tells.
 
@@ -134,19 +155,21 @@ def _is_file_of(folder: Path, name: str, n_bytes: int) -> bool:
     return Path(name).name == name and path.is_file() and path.stat().st_size == n_bytes
 
 
-def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object]) -> None:
+def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], source: Path | None = None) -> None:
     """Remember what was made; called when all its files are written.
 
     Args:
         folder: of one capture.
         kept: what was made.
         key: everything the files depend on, as plain data.
+        source: the tele photo.
     """
     numbers = {name: value if math.isfinite(value) else None for name, value in kept.numbers.items()}
     sizes = {name: (folder / name).stat().st_size for name in kept.files}
     content = {
         "format": FORMAT,
         "key": key,
+        "source": None if source is None else str(source.absolute()),
         "files_bytes": sizes,
         "notes": kept.notes,
         "numbers": numbers,

@@ -79,8 +79,7 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
     """Find the run folder that belongs to a capture folder.
 
     Args:
-        run: the folder the user named, or None for: ``run`` here if it exists, else ``run`` beside the captures if it
-            exists, else ``run`` here.
+        run: the folder the user named, or None for ``run`` here, or beside the captures where only there one is.
         captures_root: the folder of the captures.
 
     Returns:
@@ -95,10 +94,29 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
         if linked is not None:
             target = linked.readlink()
             raise UsageError(f"{linked} is a link to {target}", hint="name the run folder itself")
-        run = beside if beside.is_dir() and not here.is_dir() else here
+        run = beside if beside.is_dir() and not here.exists() else here
     if run.exists() and not run.is_dir():
         raise UsageError(f"{run} is a file; the run folder was expected there", hint="name another one")
     return RunFolder(run)
+
+
+def locate_run_of_depth(
+    run: Path | None, captures_root: Path, *, out: Path | None, needs_training: bool
+) -> Path | None:
+    """Tell the run folder of a depth; a call with a place of its own for the results makes none where none is there.
+
+    Args:
+        run: the folder the user named, or None.
+        captures_root: the folder of the captures.
+        out: folder for the results, or None for the run's.
+        needs_training: whether weights of the run folder are wanted.
+
+    Returns:
+        The folder to name; a hidden one among the results where no run folder is called for.
+    """
+    if run is not None or out is None or needs_training or locate_run(None, captures_root).root.exists():
+        return run
+    return out / ".telewide"
 
 
 def write_run_record(

@@ -400,6 +400,15 @@ def test_results_among_the_photos_are_refused(
     assert sorted(captures.rglob("*")) == before
 
 
+def test_semi_global_depth_elsewhere_leaves_no_run_folder(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("depth", "--method", "sgm", "--only", "000", "--out", "d1")
+    assert run_cli(*words) == 0
+    assert sorted(path.name for path in captures.parent.iterdir()) == ["captures", "d1"]
+    assert "kept as they were" not in capsys.readouterr().err
+    assert run_cli(*words) == 0
+    assert "kept as they were" in capsys.readouterr().err
+
+
 def test_quiet_says_nothing_but_problems(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_cli("depth", "--method", "sgm", "--quiet") == 0
     told = capsys.readouterr()

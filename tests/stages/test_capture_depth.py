@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -336,3 +337,44 @@ def test_a_blur_above_the_largest_is_said_to_be_held_back(capture: Capture, tmp_
     wide_open = made(capture, tmp_path / "wide", bokeh=BokehOptions(f_number=0.5), facts=known)
     assert any("held at a radius of 6 px" in note for note in wide_open.notes)
     assert (tmp_path / "wide" / "bokeh.jpg").is_file()
+
+
+def test_two_sets_that_name_their_captures_alike_do_not_replace_each_other(capture: Capture, tmp_path: Path) -> None:
+    folder = tmp_path / "run" / "one"
+    assert isinstance(depth_made(capture, folder, bokeh=None, turn=0), DepthOutcome)
+    before = contents(folder)
+    shutil.copytree(tmp_path / "captures", tmp_path / "others")
+    other = Capture("one", *(tmp_path / "others" / "one" / f"{view}.png" for view in ("tele", "wide")))
+    failed = depth_made(other, folder, bokeh=None, turn=1)
+    assert isinstance(failed, DepthFailure)
+    assert str(capture.tele_path) in failed.problem.message
+    assert contents(folder) == before
+    shutil.rmtree(tmp_path / "captures")  # moved away: its results may go
+    assert isinstance(depth_made(other, folder, bokeh=None, turn=1), DepthOutcome)
+
+
+@pytest.mark.parametrize("facts", [FACTS, CaptureFacts(rectified=True, f_px=100.0, baseline_m=0.01)])
+def test_lenses_that_stand_the_other_way_round_are_spoken_of(
+    facts: CaptureFacts, capture: Capture, tmp_path: Path
+) -> None:
+    """All disparities are negative: near and far are exchanged, and no metre is in front of the cameras."""
+
+    def mirrored(ref: FloatMap, src: FloatMap) -> DisparityMap:
+        seen = stepped(ref, src)
+        return dataclasses.replace(seen, disparity_px=-seen.disparity_px)
+
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    outcome = depth_of_capture(
+        capture, held_out, tmp_path / "a", facts=facts, match=mirrored, bokeh=None, key={"mirrored": True}
+    )
+    assert isinstance(outcome, DepthOutcome)
+    assert any("rotated_deg: 180" in note for note in outcome.notes)
+    assert (outcome.withheld is not None) == (facts.baseline_m is not None)
+    with np.load(tmp_path / "a" / "depth.npz") as arrays:
+        assert "depth_m" not in arrays
+    right = depth_of_capture(
+        capture, held_out, tmp_path / "b", facts=facts, match=stepped, bokeh=None, key={"mirrored": False}
+    )
+    assert isinstance(right, DepthOutcome)
+    assert not any("rotated_deg" in note for note in right.notes)
+    assert right.withheld is None

@@ -14,7 +14,7 @@ import pytest
 
 from telewide.errors import TelewideError, UsageError
 from telewide.files import fingerprint, replacing, write_text
-from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
+from telewide.stages.run_folder import RunFolder, locate_run, locate_run_of_depth, write_run_record
 
 
 def test_replacing_leaves_the_new_file_and_nothing_else(tmp_path: Path) -> None:
@@ -200,3 +200,26 @@ def test_a_broken_record_is_written_anew(tmp_path: Path, broken: str) -> None:
     photo.write_bytes(b"abc")
     run.run_json.write_text(broken)
     assert set(_record(run, "depth", photo)["commands"]) == {"depth"}
+
+
+def test_a_file_called_run_is_not_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither where a run folder lies beside the captures: the one here is meant."""
+    here = tmp_path / "here"
+    here.mkdir()
+    (tmp_path / "run").mkdir()
+    monkeypatch.chdir(here)
+    assert locate_run(None, tmp_path / "captures").root == tmp_path / "run"
+    (here / "run").write_text("notes")
+    with pytest.raises(UsageError, match="is a file"):
+        locate_run(None, tmp_path / "captures")
+
+
+def test_depth_with_a_place_of_its_own_makes_no_run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    captures, out = tmp_path / "captures", tmp_path / "d1"
+    assert locate_run_of_depth(None, captures, out=out, needs_training=False) == out / ".telewide"
+    assert locate_run_of_depth(None, captures, out=out, needs_training=True) is None
+    assert locate_run_of_depth(None, captures, out=None, needs_training=False) is None
+    assert locate_run_of_depth(Path("mine"), captures, out=out, needs_training=False) == Path("mine")
+    (tmp_path / "run").mkdir()  # pairs that lie there are taken
+    assert locate_run_of_depth(None, captures, out=out, needs_training=False) is None
