@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from telewide.calibration.quality import SHARE, at_least, at_most
+from telewide.calibration.quality import SHARE, at_least, at_most, verdict_of
 
 
 @pytest.mark.parametrize(("value", "status"), [(0.3, "pass"), (0.31, "warn"), (0.9, "warn"), (0.91, "fail")])
@@ -32,3 +32,12 @@ def test_a_number_without_unit_and_an_unknown_one() -> None:
     assert at_least("something", 1234.5, (1000, 1), advice="").found_words == "1234"
     check = at_most("error", float("nan"), (0.3, 0.9), advice="take more", unit="px")
     assert (check.status, check.found_words, check.limit_words) == ("warn", "unknown", "at most 0.3 px")
+
+
+@pytest.mark.parametrize(
+    ("values", "verdict"),
+    [((), "good"), ((0.1, 0.2), "good"), ((0.1, 0.5), "usable"), ((0.5, 0.95, 0.1), "insufficient")],
+)
+def test_the_worst_check_decides(values: tuple[float, ...], verdict: str) -> None:
+    """Up to 0.3 passes, up to 0.9 warns, beyond it fails."""
+    assert verdict_of([at_most("error", value, (0.3, 0.9), advice="hold still") for value in values]) == verdict

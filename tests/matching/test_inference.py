@@ -170,7 +170,7 @@ def test_untrained_lite_trusts_what_both_views_show_and_not_what_one_hides() -> 
     hidden[36:92, 102:118] = True  # left of the square: 20 px that src does not see
     seen = np.zeros_like(hidden)
     seen[36:92, 60:90] = seen[36:92, 130:175] = True
-    assert matched.confidence[seen].mean() > matched.confidence[hidden].mean()
+    assert matched.confidence[seen].mean() > 5 * matched.confidence[hidden].mean()
     assert matched.valid[seen].mean() > matched.valid[hidden].mean()
     assert np.median(np.abs(matched.disparity_px[36:92, 130:175] - 28)) < 2
     assert np.median(np.abs(matched.disparity_px[36:92, 60:90] - 8)) < 2
@@ -196,16 +196,16 @@ def test_matching_leaves_no_trace_in_the_network() -> None:
 @pytest.mark.parametrize("name", ["lite", "psmnet-s"])
 def test_an_image_off_the_grid_is_continued_by_its_border(name: str) -> None:
     """Standardised as it is, then continued to multiples of 64 px by repeating the border, which is cut off again."""
-    ref, src = noise(GRID_PX - 3, 2 * GRID_PX - 5), noise(GRID_PX - 3, 2 * GRID_PX - 5, seed=1)
+    ref, src = noise(GRID_PX - 20, 2 * GRID_PX - 37), noise(GRID_PX - 20, 2 * GRID_PX - 37, seed=1)
     network = build_network(name).eval()
     views = [torch.from_numpy(view.transpose(2, 0, 1).copy())[None] for view in (ref, src)]
     by_hand = [standardise(view).numpy() for view in views]
-    by_hand = [np.pad(view, ((0, 0), (0, 0), (0, 3), (0, 5)), mode="edge") for view in by_hand]
+    by_hand = [np.pad(view, ((0, 0), (0, 0), (0, 20), (0, 37)), mode="edge") for view in by_hand]
     with full_precision(), torch.no_grad():
         matched = match_with_network(ref, src, network=network, window=(0, 32))
         output = network(*map(torch.from_numpy, by_hand), (0, 32))
     assert matched.disparity_px.shape == ref.shape[:2]
-    np.testing.assert_allclose(matched.disparity_px, output.disparity_px[0, :-3, :-5].numpy(), atol=1e-3)
+    np.testing.assert_allclose(matched.disparity_px, output.disparity_px[0, :-20, :-37].numpy(), atol=1e-3)
 
 
 def test_brightness_and_tint_of_a_view_do_not_matter() -> None:

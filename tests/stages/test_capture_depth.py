@@ -15,6 +15,7 @@ from rig_worlds import phone_rig
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
 from telewide.capture.images import read_image, write_image, write_pfm
 from telewide.capture.pair import Capture, CaptureFacts
+from telewide.correction.moving import MovedRegion
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
 from telewide.drawing import upright
@@ -136,6 +137,32 @@ def test_a_result_that_was_cut_off_is_made_again(capture: Capture, tmp_path: Pat
         again = made(capture, tmp_path, bokeh=BokehOptions())
         assert not again.is_kept
         assert path.stat().st_size == len(whole[path])
+
+
+def test_what_moved_between_the_photos_is_not_measured(capture: Capture, tmp_path: Path) -> None:
+    """Nothing is trusted within a region that moved, and all of it well away from there."""
+    rig = phone_rig()
+    rig = dataclasses.replace(rig, tele=rig.tele.resized((60, 80)), wide=rig.wide.resized((60, 80)))
+    geometry = rectified_geometry(rig)
+    outline_px = np.array([[50.0, 20.0], [70.0, 20.0], [70.0, 40.0], [50.0, 40.0]])
+    shot = ShotGeometry(geometry, DepthPrecision(), moved=(MovedRegion(outline_px, 9, 3.0),))
+
+    def even(_ref: FloatMap, _src: FloatMap) -> DisparityMap:
+        return DisparityMap(
+            np.full(geometry.hw, 5, np.float32), np.ones(geometry.hw, np.float32), np.ones(geometry.hw, bool)
+        )
+
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    outcome = depth_of_capture(
+        capture, held_out, tmp_path / "run", facts=FACTS, match=even, bokeh=None, key={}, shot=shot
+    )
+    assert isinstance(outcome, DepthOutcome)
+    with np.load(tmp_path / "run" / "depth.npz") as depth:
+        confidence, valid = depth["confidence"], depth["valid"]
+    assert not confidence[20:41, 50:71].any()
+    assert not valid[20:41, 50:71].any()
+    assert confidence[5:55, 5:40].min() == 1
+    assert valid[5:55, 5:40].all()
 
 
 def test_what_fails_leaves_earlier_results_alone(capture: Capture, tmp_path: Path) -> None:

@@ -33,7 +33,9 @@ from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.train import TrainOutcome, read_record
 from telewide.training import loop
-from telewide.training.loop import DECISIVE
+from telewide.training.checkpoint import TrainingState
+from telewide.training.loop import DECISIVE, Training
+from telewide.training.samples import CropArea
 
 RECIPE: Mapping[str, object] = {
     "network": "lite",
@@ -152,6 +154,29 @@ def test_training_leaves_weights_record_log_and_sheets(captures: Path, tmp_path:
     ]
     options = json.loads((run / "run.json").read_text())["commands"]["train"]["options"]
     assert (options["window_px"], options["rig"], options["device"], options["fresh"]) == ([0, 32], None, "cpu", False)
+
+
+def test_what_is_held_out_is_never_trained_on(
+    captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three captures one is kept for judging: crops come from the two others, and the judge asks that one alone."""
+    monkeypatch.setattr(telewide.stages.train, "FEWEST_TO_HOLD_OUT", 3)
+    begun: list[Training] = []
+    train = telewide.stages.train.run_training
+
+    def noted(training: Training, state: TrainingState, *, reporter: Observer) -> TrainingState:
+        begun.append(training)
+        return train(training, state, reporter=reporter)
+
+    monkeypatch.setattr(telewide.stages.train, "run_training", noted)
+    short = ("train.rehearsal.steps=1", "train.photometric.steps=0", "train.stages=0")
+    run_training(captures, tmp_path / "run", tiny(*short, path=recipe_path))
+    record = read_record(RunFolder(tmp_path / "run"))
+    assert record is not None
+    assert len(record.held_out) == 1
+    assert record.judged == record.held_out
+    assert {capture.name for capture in begun[0].source.captures} == set(record.captures) - set(record.held_out)
+    assert begun[0].source.area == CropArea()
 
 
 def test_ground_truth_is_not_read_in_training(captures: Path, tmp_path: Path, recipe_path: Path) -> None:

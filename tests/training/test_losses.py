@@ -231,11 +231,11 @@ def test_distribution_loss_is_least_at_the_true_distribution() -> None:
     """Cross-entropy is the entropy of the truth where the volume says just that, and more anywhere else."""
     truth = torch.full((1, 8, 8), 4.0)
     truth[:, :, 4:] = 1.0  # between the planes at 0 and at 4: a quarter and three quarters
-    truth[:, :4, :2] = -8.0  # half of the first cell is another surface
+    truth[:, :4, :1] = -8.0  # a quarter of the first cell is another surface
     planes = plane_disparities_px(WINDOW)
     target = torch.zeros(1, len(planes), 2, 2)
     target[0, 3, :, 0], target[0, 2, :, 1], target[0, 3, :, 1] = 1.0, 0.75, 0.25
-    target[0, 3, 0, 0] = target[0, 0, 0, 0] = 0.5
+    target[0, 3, 0, 0], target[0, 0, 0, 0] = 0.75, 0.25
     best = mean(distribution_loss((target + 1e-12).log(), truth, window=WINDOW))
     entropy = float(torch.special.entr(target).sum() / 4)
     assert best == pytest.approx(entropy, abs=1e-5)

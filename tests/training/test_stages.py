@@ -31,6 +31,11 @@ RECIPES: dict[str, tuple[str, float, dict[str, Line]]] = {
         0.995,
         {"rehearsal": (600, 1e-3, *LABELLED), "feature-1": (100, 1e-4, *BESIDE_LABELS)},
     ),
+    "box": (
+        "guided",
+        0.999,
+        {"rehearsal": (60000, 5e-4, 4, 0, "photometric", 1.0, 3.0, 0.1, True, False, 0.0)},
+    ),
     "paper": (
         "psmnet-s",
         0.0,
