@@ -172,6 +172,10 @@ def test_untrained_lite_trusts_what_both_views_show_and_not_what_one_hides() -> 
     seen[36:92, 60:90] = seen[36:92, 130:175] = True
     assert matched.confidence[seen].mean() > 5 * matched.confidence[hidden].mean()
     assert matched.valid[seen].mean() > matched.valid[hidden].mean()
+    x_src_px = np.arange(256) - matched.disparity_px
+    disagrees = (x_src_px >= 0) & (x_src_px <= 255) & ~matched.valid
+    assert disagrees[hidden].any()
+    assert matched.confidence[disagrees].max() == 0
     assert np.median(np.abs(matched.disparity_px[36:92, 130:175] - 28)) < 2
     assert np.median(np.abs(matched.disparity_px[36:92, 60:90] - 8)) < 2
 
@@ -249,7 +253,7 @@ def test_a_gpu_gives_what_the_processor_gives(gpu: str) -> None:
     assert (error_px < 0.1).mean() > 0.98
 
 
-@pytest.mark.parametrize("window", [(0, 192), (-192, 0), (-96, 96)])
+@pytest.mark.parametrize("window", [(0, 192), (-192, 0), (-96, 96), (132, 192)])
 def test_the_left_right_check_of_a_tile_is_that_of_the_image(window: tuple[int, int]) -> None:
     """In a window wider than the network's context: what looks back from src stays within the tile."""
     ref, src = noise(64, 1400), noise(64, 1400, seed=1)
@@ -257,6 +261,7 @@ def test_the_left_right_check_of_a_tile_is_that_of_the_image(window: tuple[int, 
     with full_precision():
         whole = match_with_network(ref, src, network=network, window=window)
         tiled = match_with_network(ref, src, network=network, window=window, max_tile_pixels=80_000)
+    assert np.abs(tiled.disparity_px - whole.disparity_px).max() < 0.1
     np.testing.assert_array_equal(tiled.valid, whole.valid)
     np.testing.assert_allclose(tiled.confidence, whole.confidence, atol=0.02)
 
