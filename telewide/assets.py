@@ -88,7 +88,9 @@ def find_yaml(folder: Path, stem: str) -> Path | None:
         entries = sorted(folder.iterdir())
     except OSError:  # not there; or a folder that may be entered, not listed
         entries = [folder / f"{stem}.yaml"]
-    found = [path for path in entries if is_yaml(path) and path.stem.casefold() == stem.casefold() and path.is_file()]
+    found = [
+        path for path in entries if is_yaml(path) and path.stem.casefold() == stem.casefold() and not path.is_dir()
+    ]
     if len(found) > 1:
         names = " and ".join(path.name for path in found)
         raise InputError(f"{folder} holds {names}; one of them was expected", hint="keep the one that is right")

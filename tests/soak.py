@@ -32,7 +32,7 @@ from telewide.npz import read_npz
 from telewide.simulate.captures import write_captures
 from telewide.simulate.phone import write_phone
 
-SEED, N_KILLS = 7, 20
+SEED, N_KILLS = 7, int(os.environ.get("TELEWIDE_KILLS", "20"))
 TINY = (
     "--quiet --recipe quick --set train.rehearsal.steps=20 --set train.crop_hw=[64,64] --set train.photometric.steps=0 "
     "--set train.stages=0 --set train.judge_every_steps=5"
@@ -125,7 +125,8 @@ def two(base: Path) -> None:
     folder = Path(shutil.copytree(base, base.with_name("two")))
     loud = COMMANDS["run"].replace("--quiet ", "")
     first = started(loud, folder)
-    time.sleep(3)
+    while not (folder / "run").exists():  # made by the first when it begins to work there
+        time.sleep(0.1)
     code, said, _, _ = finished(loud, folder)
     first.communicate()
     assert (first.returncode, code) == (0, 0), said

@@ -238,7 +238,10 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
         if photo.format == "PNG" and data[24] == 16:
             _warn_unless_srgb(path, photo.info.get("icc_profile"))
             return _at_read_size(path, _decode_deep_png(path, data), hw), orientation
-        return _at_read_size(path, np.asarray(_srgb_from_photo(path, photo)), hw), orientation
+        shown = _srgb_from_photo(path, photo)
+        if is_read_halved(hw) and (shown.height, shown.width) == hw:
+            shown = shown.reduce(2)  # before numpy holds it too
+        return _at_read_size(path, np.asarray(shown), hw), orientation
 
 
 def _at_read_size(path: Path, samples: Samples, hw: tuple[int, int]) -> Samples:
@@ -334,7 +337,7 @@ def _srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
         photo = photo.convert("L" if photo.mode == "1" else "RGB")
     if profile:
         photo = _apply_profile(path, photo, profile)
-    return photo.convert("RGB")
+    return photo if photo.mode == "RGB" else photo.convert("RGB")  # which copies
 
 
 def _apply_profile(path: Path, photo: Image.Image, profile_bytes: bytes) -> Image.Image:
