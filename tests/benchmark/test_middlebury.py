@@ -8,6 +8,7 @@ import pytest
 
 from telewide.benchmark.contenders import semiglobal_contender
 from telewide.benchmark.datasets.middlebury import middlebury_2006_scenes
+from telewide.benchmark.datasets.protocols import find_protocol
 from telewide.benchmark.middlebury import (
     SKIPPED_COLUMNS,
     SPLITS,
@@ -108,6 +109,11 @@ def test_an_unknown_scene_is_refused(scenes_root: Path, tmp_path: Path) -> None:
         benchmark_middlebury(
             scenes_root, (), scenes=("Three",), factor=2, captures=tmp_path / "captures", tell=lambda _: None
         )
+
+
+def test_the_protocol_of_that_name_says_the_same() -> None:
+    protocol = find_protocol("middlebury-2006-third")
+    assert (protocol.splits, protocol.window_px, protocol.left_out_columns) == (SPLITS, WINDOW, SKIPPED_COLUMNS)
 
 
 def test_splits_share_no_scene_and_miss_none(data_root: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -15,6 +16,8 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
+from telewide.benchmark.bokeh_quality import bokeh_quality
+from telewide.benchmark.boundaries import boundary_errors, boundary_f1
 from telewide.benchmark.damages import Damages, find_damage
 from telewide.benchmark.datasets.protocols import Scene, find_protocol, search_window, select_scenes
 from telewide.benchmark.datasets.truth import StereoTruth
@@ -25,12 +28,16 @@ from telewide.benchmark.scores import score_regions
 from telewide.errors import TelewideError
 from telewide.files import read_json, write_text
 from telewide.folders import alone_in
+from telewide.geometry.arrays import FloatMap
 from telewide.text import json_text
 
 FORMAT = 1
 CELL_FILE = "cell.json"
 _TEST, _TRAINING, _VALIDATION = "test", "training", "validation"
-_MEASURING = ("benchmark.scores", "metrics", "benchmark.damages", "simulate.degrade")
+_MEASURING = (
+    *("benchmark.scores", "benchmark.boundaries", "benchmark.bokeh_quality", "benchmark.paper.cells", "metrics"),
+    *("benchmark.damages", "simulate.degrade", "bokeh.render", "bokeh.lens"),
+)
 Row = Mapping[str, object]
 
 
@@ -127,9 +134,9 @@ class Cells:
         with alone_in(folder, waiting=self.tell if waits else _give_way):
             if (rows := _kept(folder / CELL_FILE, key)) is not None:  # made by whoever was waited for
                 return rows
-            rows = self._computed(plan)
-            write_text(folder / CELL_FILE, json_text({"key": key, "rows": rows}, indent=2) + "\n")
-            return rows
+            text = json_text({"key": key, "rows": self._computed(plan)}, indent=2) + "\n"
+            write_text(folder / CELL_FILE, text)
+            return [dict(row) for row in json.loads(text)["rows"]]  # as whoever reads them later gets them
 
     def _computed(self, plan: CellPlan) -> list[Row]:
         self.tell(f"{plan.system.title}: {plan.column.heading}")
@@ -142,11 +149,8 @@ class Cells:
                 continue
             window = search_window(scene.protocol, truth)
             for weights, match in matchers.items():
-                scores = score_regions(match(truth.left, truth.right, window), truth)
-                rows += [
-                    {"scene": scene.name, "weights": weights, "region": region} | asdict(score)
-                    for region, score in scores.items()
-                ]
+                judged = _judged(match(truth.left, truth.right, window), truth)
+                rows += [{"scene": scene.name, "weights": weights, **row} for row in judged]
         return rows
 
     def _fingerprint(self, scene: Scene) -> str:
@@ -208,6 +212,22 @@ def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tu
         budget_min=wanted.budget_min,
     )
     return [CellPlan(system, column, task, scenes) for system in systems], notes
+
+
+def _judged(estimate_px: FloatMap, truth: StereoTruth) -> list[Row]:
+    """Judge a map: a row a region; what is measured on the whole map stands in the row of all pixels only."""
+    edges = boundary_errors(estimate_px, truth.disparity_px)
+    whole = {
+        "edge_accuracy_px": edges.accuracy_px,
+        "edge_completeness_px": edges.completeness_px,
+        "boundary_f1": boundary_f1(estimate_px, truth.disparity_px),
+        "bokeh_psnr_db": bokeh_quality(truth.left, estimate_px, truth.disparity_px).mean_db,
+    }
+    nothing = dict.fromkeys(whole, math.nan)
+    return [
+        {"region": region, **asdict(score), **(whole if region == "all" else nothing)}
+        for region, score in score_regions(estimate_px, truth).items()
+    ]
 
 
 def _first_there(names: Sequence[str], data_root: Path, split: str) -> tuple[str | None, tuple[Scene, ...], list[str]]:

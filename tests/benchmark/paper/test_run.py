@@ -109,6 +109,8 @@ def test_the_table_shows_both_weights_and_what_is_published(data: Path, asked: l
     assert any("not-built" in note for note in report.notes)
     paths = write_table(TABLE, report, data.parent / "out")
     assert "budget" in paths[0].read_text().lower()
+    of_best = [row for row in report.rows if row["weights"] == "best"]
+    assert all(row["bad_1px"] == 0 and row["density"] == 1 for row in of_best)
     rows = list(csv.DictReader(paths[1].read_text().splitlines()))
     assert len(rows) == len(report.rows) == 2 * 2 * 2
     assert json.loads(paths[2].read_text())["machine"]["versions"]["numpy"]
