@@ -130,6 +130,7 @@ def test_photos_made_in_two_ways_have_no_rig_in_common(boards: Path, tmp_path: P
     assert not (tmp_path / "rig.yaml").exists()
 
 
+@pytest.mark.slow
 def test_shots_of_which_half_are_turned_by_their_exif_give_the_same_rig(boards: Path, tmp_path: Path) -> None:
     """The sensor does not know how the phone was held: the same pixels, once upright and once on their side."""
     rigs = []

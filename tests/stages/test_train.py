@@ -179,6 +179,7 @@ def test_what_is_held_out_is_never_trained_on(
     assert begun[0].source.area == CropArea()
 
 
+@pytest.mark.slow
 def test_ground_truth_is_not_read_in_training(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     """Truths that no reader accepts, and none at all: the same losses, the same weights."""
     recipe = tiny(path=recipe_path)
@@ -219,6 +220,7 @@ def test_a_finished_training_says_so(
         assert ("finished already" in said.replace("\n", " ")) == (times == 2)
 
 
+@pytest.mark.slow
 def test_fresh_starts_over(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     run = tmp_path / "run"
     recipe = tiny(path=recipe_path)
@@ -235,6 +237,7 @@ def test_fresh_starts_over(captures: Path, tmp_path: Path, recipe_path: Path) ->
     assert run_training(captures, run, other, fresh=True).is_new, "another recipe is welcome then"
 
 
+@pytest.mark.slow
 def test_new_captures_are_taken_in(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     run, recipe = tmp_path / "run", tiny(path=recipe_path)
     run_training(captures, run, recipe)
@@ -255,6 +258,7 @@ def add_capture(captures: Path, scratch: Path, *, name: str = "later") -> None:
     shutil.copytree(scratch / "000", captures / name)
 
 
+@pytest.mark.slow
 def test_new_captures_are_trained_on_after_a_stop_that_came_early(
     captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -274,6 +278,7 @@ def test_new_captures_are_trained_on_after_a_stop_that_came_early(
     assert {stage for stage, _ in heard.losses} == {"feature-1"}
 
 
+@pytest.mark.slow
 def test_new_captures_do_not_change_the_judge(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     run, recipe = tmp_path / "run", tiny(path=recipe_path)
     run_training(captures, run, recipe)
@@ -308,6 +313,7 @@ def test_a_training_without_its_judge_or_its_pictures_is_refused(
             (tmp_path / name).rename(captures / name)
 
 
+@pytest.mark.slow
 def test_a_reopened_training_ends_no_worse(
     captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -329,6 +335,7 @@ def test_a_reopened_training_ends_no_worse(
     assert all(torch.equal(again[name], result[name]) for name in result)
 
 
+@pytest.mark.slow
 def test_depth_takes_the_newest_checkpoint_while_training_goes_on(
     captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
