@@ -18,6 +18,7 @@ from PIL import Image
 from telewide.cli import main
 from telewide.simulate.captures import write_captures
 
+HANGS_AFTER_S = 600
 NAMES = (
     *("tele.png", "wide.png", "tele.jpg", "pair.json", "shot.json", "matches.npz", "labels_0_32.pfm", "run.json"),
     *("state.pt", "weights.safetensors", "training.json", "log.jsonl", "rehearsal.png", "rehearsal.safetensors"),
@@ -73,7 +74,7 @@ def state_of(folder: Path) -> dict[str, tuple[bytes, int]]:
 
 
 def call_every_command(root: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """The exit code of each, none of which may take a minute."""
+    """The exit code of each, none of which may hang."""
     monkeypatch.chdir(root)
     commands = (
         "depth captures --method sgm --bokeh --quiet",
@@ -96,7 +97,7 @@ def call_every_command(root: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str,
     before = signal.signal(signal.SIGALRM, stop)
     try:
         for command in commands:
-            signal.alarm(60)
+            signal.alarm(HANGS_AFTER_S)
             with pytest.raises(SystemExit) as left:
                 main(command.split())
             codes[command.split()[0]] = max(int(left.value.code or 0), codes.get(command.split()[0], 0))
