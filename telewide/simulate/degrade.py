@@ -210,12 +210,12 @@ def _blur(image: FloatImage, *, sigma_px: tuple[float, float], angle_rad: float)
     return np.asarray(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float32)
 
 
-def _darken_corners(image: FloatImage, *, vignetting: float) -> FloatImage:
+def _darken_corners(image_srgb: FloatImage, *, vignetting: float) -> FloatImage:
     if vignetting == 0:
-        return image
-    hw = (image.shape[0], image.shape[1])
+        return image_srgb
+    hw = (image_srgb.shape[0], image_srgb.shape[1])
     passed = vignetting_at(vignetting, rows_and_columns(hw), hw=hw).astype(np.float32)
-    return srgb_from_linear(linear_from_srgb(image) * passed[..., None])
+    return srgb_from_linear(linear_from_srgb(image_srgb) * passed[..., None])
 
 
 def _through_jpeg(image: FloatImage, *, quality: int) -> FloatImage:

@@ -177,7 +177,7 @@ def locate(data_set: DataSet, data_root: Path) -> Path | None:
     if not data_root.is_dir():
         raise UsageError(f"{data_root} is no folder; the folder that holds the data sets was expected")
     longer = sorted(path for path in data_root.glob(f"{data_set.name}_*") if path.name not in DATA_SETS)
-    return next((path for path in (data_root / data_set.name, *longer) if _holds_scenes(data_set, path)), None)
+    return next((path for path in (data_root / data_set.name, *longer) if _has_scenes(data_set, path)), None)
 
 
 def missing_note(data_set: DataSet, data_root: Path) -> str:
@@ -188,7 +188,7 @@ def missing_note(data_set: DataSet, data_root: Path) -> str:
     )
 
 
-def _holds_scenes(data_set: DataSet, root: Path) -> bool:
+def _has_scenes(data_set: DataSet, root: Path) -> bool:
     try:
         return root.is_dir() and bool(data_set.scenes(root))
     except InputError:
