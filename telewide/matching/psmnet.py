@@ -65,8 +65,8 @@ def _blocks(c_in: int, c_out: int, count: int, *, stride: int = 1, dilation: int
     return nn.Sequential(first, *(_Block(c_out, c_out, dilation=dilation) for _ in range(count - 1)))
 
 
-class PsmnetFeatures(nn.Module):
-    """Phi_F: a standardised view to (features at 1/4,)."""
+class PsmnetPyramid(nn.Module):
+    """The trunk of Phi_F: a standardised view to detail and to what lies around it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -82,11 +82,11 @@ class PsmnetFeatures(nn.Module):
             nn.Sequential(nn.AvgPool2d(cells, ceil_mode=True), _conv2d(64, 16, kernel=1), nn.ReLU())
             for cells in POOL_CELLS
         )
-        self.last = nn.Sequential(_conv2d(128, 64), nn.ReLU(), nn.Conv2d(64, FEATURE_CHANNELS, 1, bias=False))
 
-    def forward(self, image_BCHW: Tensor) -> tuple[Tensor]:
-        """(B, 3, H, W) to ((B, 16, H/4, W/4),)."""
-        quarter = self.layer2(self.layer1(self.first(image_BCHW)))
+    def pyramid(self, image_BCHW: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, 3, H, W) to (B, 16, H/2, W/2) and (B, 128, H/4, W/4)."""
+        half = self.first(image_BCHW)
+        quarter = self.layer2(self.layer1(half))
         deep = self.layer4(self.layer3(quarter))
         height, width = deep.shape[-2:]
         pooled = [
@@ -95,7 +95,19 @@ class PsmnetFeatures(nn.Module):
             for cells, pool in zip(POOL_CELLS, self.pools, strict=True)
         ]
         pooled = [spread[..., :height, :width] for spread in pooled]
-        return (self.last(torch.cat((quarter, deep, *pooled), dim=1)),)
+        return half, torch.cat((quarter, deep, *pooled), dim=1)
+
+
+class PsmnetFeatures(PsmnetPyramid):
+    """Phi_F: a standardised view to (features at 1/4,)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.last = nn.Sequential(_conv2d(128, 64), nn.ReLU(), nn.Conv2d(64, FEATURE_CHANNELS, 1, bias=False))
+
+    def forward(self, image_BCHW: Tensor) -> tuple[Tensor]:
+        """(B, 3, H, W) to ((B, 16, H/4, W/4),)."""
+        return (self.last(self.pyramid(image_BCHW)[1]),)
 
 
 class _Hourglass(nn.Module):

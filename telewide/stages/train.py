@@ -62,7 +62,7 @@ from telewide.training.stages import Stage, plan_stages
 
 FORMAT = 1
 _OWN_FILES = re.compile(
-    r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|feature-\d+)\.(png|safetensors)"
+    r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|space|feature-\d+)\.(png|safetensors)"
 )
 LOG_EVERY_STEPS = 10
 FEWEST_TO_HOLD_OUT = 5

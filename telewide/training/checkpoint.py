@@ -26,6 +26,7 @@ from telewide.errors import InputError, UsageError
 from telewide.files import parse_json, replacing
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window, check_stated_window
+from telewide.training.spaces import build_space
 from telewide.training.stages import Stage
 
 FORMAT = "1"
@@ -55,7 +56,7 @@ class TrainingState:
         network: what is being trained.
         average: running average of its weights: the result.
         optimiser: of the stage under way.
-        teacher: frozen extractor of the stage before, where the stage under way needs one.
+        teacher: extractor that the stage under way looks through, frozen, or a feature space, while it is taught.
         stage_index: position in the plan.
         step: steps of this stage that are done.
         judgements: of this stage, one each time the held-out matches were asked.
@@ -76,6 +77,19 @@ class TrainingState:
     stage_judgements: list[float] = field(default_factory=list)
     is_finished: bool = False
     best_stage: int = 0
+
+
+def learner_of(state: TrainingState, stage: Stage) -> nn.Module:
+    """Learner of a stage: the network, or the feature space.
+
+    Raises:
+        ValueError: there is no feature space yet.
+    """
+    if not stage.is_teaching_space:
+        return state.network
+    if state.teacher is None:
+        raise ValueError(f"stage {stage.name} teaches a feature space, and there is none")
+    return state.teacher
 
 
 def new_optimiser(network: nn.Module) -> torch.optim.Optimizer:
@@ -131,12 +145,15 @@ def load_state(
         state = new_state(network_name, seed=0, device=device)
         state.network.load_state_dict(content["network"])
         state.average.load_state_dict(content["average"])
-        _take_moments(state, content["optimiser"]["state"])
-        if content["teacher"] is not None:
-            state.teacher = frozen_extractor(state.network)
-            state.teacher.load_state_dict(content["teacher"])
         for name in ("stage_index", "step", "best_stage"):
             setattr(state, name, _count(content[name]))
+        stage = None if plan is None else plan[state.stage_index]
+        if content["teacher"] is not None:
+            state.teacher = _empty_teacher(state, stage).to(device)
+            state.teacher.load_state_dict(content["teacher"])
+        if stage is not None and stage.is_teaching_space and state.teacher is not None:
+            state.optimiser = new_optimiser(state.teacher)
+        _take_moments(state, content["optimiser"]["state"])
         for name in ("judgements", "stage_judgements"):
             setattr(state, name, [_figure(value) for value in content[name]])
         state.is_finished = content["is_finished"] is True
@@ -151,9 +168,17 @@ def load_state(
     return state
 
 
+def _empty_teacher(state: TrainingState, stage: Stage | None) -> nn.Module:
+    """Module that the teacher of a checkpoint is read into: it learns in a stage of its own, else it is frozen."""
+    if stage is None or stage.space == "own":
+        return frozen_extractor(state.network)
+    space = build_space(stage.space)
+    return space if stage.is_teaching_space else space.eval().requires_grad_(False)
+
+
 def _take_moments(state: TrainingState, moments: Mapping[int, Mapping[str, Tensor]]) -> None:
     """Take Adam's moments; its rates are the loop's."""
-    parameters = list(state.network.parameters())
+    parameters = [parameter for group in state.optimiser.param_groups for parameter in group["params"]]
     for index, kept in moments.items():
         if any(kept[name].shape != parameters[index].shape for name in ("exp_avg", "exp_avg_sq")):
             raise ValueError(f"the moments of parameter {index} are of another size")
@@ -178,7 +203,8 @@ def _check_place(state: TrainingState, plan: Sequence[Stage]) -> None:
         raise ValueError("more steps or judgements than the stage has")
     if len(state.stage_judgements) != n_judged or state.best_stage >= max(1, n_judged):
         raise ValueError("the finished stages do not go with the stage under way")
-    if state.step and not state.is_finished and stage.needs_teacher and state.teacher is None:
+    needs_teacher = stage.needs_teacher or stage.is_teaching_space
+    if state.step and not state.is_finished and needs_teacher and state.teacher is None:
         raise ValueError("the extractor of the stage before is missing")
 
 

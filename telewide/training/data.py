@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -14,6 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
+from telewide.errors import UsageError
+from telewide.geometry.arrays import FloatImage
 from telewide.training.objective import Batch
 from telewide.training.samples import Sample, SampleSource, crop_capture, generator_for, rehearse
 from telewide.training.stages import Stage
@@ -39,6 +41,13 @@ class StepBatches(Dataset[Batch]):
     def __init__(self, source: SampleSource, stage: Stage, *, seed: int, rank: int = 0, world: int = 1) -> None:
         # Where no labels are needed none may have been written.
         self._source = source if stage.needs_labels else replace(source, labels_folder=None)
+        if not stage.needs_undamaged:
+            self._source = replace(self._source, undamaged=None)
+        elif stage.options.captured and source.undamaged is None:
+            raise UsageError(
+                f"stage {stage.name} looks at undamaged views, which real captures do not have",
+                hint="symmetric_input and symmetric_loss are for data sets that are damaged on purpose",
+            )
         self._stage, self._seed = stage, seed
         self._rank, self._world = rank, world
 
@@ -62,7 +71,8 @@ class StepBatches(Dataset[Batch]):
             for crop in mine
             if crop >= options.rehearsed
         ]
-        return collate([*rehearsed, *captured], n_rehearsed=len(rehearsed))
+        batch = collate([*rehearsed, *captured], n_rehearsed=len(rehearsed))
+        return batch if self._stage.needs_undamaged else replace(batch, undamaged=None)
 
     def _generator(self, *salt: int) -> np.random.Generator:
         return generator_for(self._seed, self._stage.index, *salt)
@@ -72,12 +82,15 @@ Batches = StepBatches | WorldBatches
 
 
 def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
-    """Stack samples into one batch."""
+    """Stack samples into one batch; undamaged views where every sample has them."""
+    undamaged = [sample.undamaged for sample in samples if sample.undamaged is not None]
+    has_all = len(undamaged) == len(samples)
     return Batch(
         _stack_images([sample.ref for sample in samples]),
         _stack_images([sample.src for sample in samples]),
         torch.from_numpy(np.stack([sample.truth_px for sample in samples])),
         n_rehearsed,
+        undamaged=_stack_pairs(undamaged) if has_all else None,
     )
 
 
@@ -129,5 +142,10 @@ def _one_thread_each(_: int) -> None:
     cv2.setNumThreads(1)
 
 
-def _stack_images(images: list[NDArray[np.float32]]) -> torch.Tensor:
+def _stack_pairs(pairs: Sequence[tuple[FloatImage, FloatImage]]) -> tuple[torch.Tensor, torch.Tensor]:
+    refs, srcs = zip(*pairs, strict=True)
+    return _stack_images(refs), _stack_images(srcs)
+
+
+def _stack_images(images: Sequence[NDArray[np.float32]]) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2)))

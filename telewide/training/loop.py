@@ -15,10 +15,11 @@ from pathlib import Path
 from types import FrameType
 
 import torch
+from torch import Tensor
 
 from telewide.errors import TelewideError, UsageError
 from telewide.matching.inference import full_precision, low_precision
-from telewide.matching.networks import StereoNetwork, standardise
+from telewide.matching.networks import StereoNetwork, prepare_view
 from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.training.checkpoint import (
     STATE_NAME,
@@ -26,6 +27,7 @@ from telewide.training.checkpoint import (
     TrainingState,
     WeightsCard,
     frozen_extractor,
+    learner_of,
     load_weights,
     new_optimiser,
     save_state,
@@ -36,6 +38,7 @@ from telewide.training.objective import Batch, objective
 from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.reporter import Reporter
+from telewide.training.spaces import build_space, space_objective
 from telewide.training.stages import Stage, plan_stages
 
 CHECKPOINT_EVERY_S = 20.0
@@ -109,7 +112,7 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
         while not state.is_finished:
             stage = plan[state.stage_index]
             if state.step == 0:
-                _begin_stage(state, stage)
+                _begin_stage(state, stage, seed=training.seed)
             reporter.stage_started(stage, first_step=state.step)
             _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
             _end_stage(training=training, state=state, stage=stage, plan=plan, reporter=reporter)
@@ -129,11 +132,19 @@ def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
             )
 
 
-def _begin_stage(state: TrainingState, stage: Stage) -> None:
+def _begin_stage(state: TrainingState, stage: Stage, *, seed: int) -> None:
     """Start from the last result, with a fresh optimiser (paper, section 4.3)."""
     state.network.load_state_dict(state.average.state_dict())
-    state.optimiser = new_optimiser(state.network)
-    state.teacher = frozen_extractor(state.average) if stage.needs_teacher else None
+    if stage.is_teaching_space:
+        device = next(state.network.parameters()).device
+        state.teacher = build_space(stage.space, seed=seed).to(device)
+    elif stage.needs_teacher and stage.space == "own":
+        state.teacher = frozen_extractor(state.average)
+    elif stage.needs_teacher and state.teacher is not None:
+        state.teacher.eval().requires_grad_(False)
+    else:
+        state.teacher = None
+    state.optimiser = new_optimiser(learner_of(state, stage))
     state.judgements = []
 
 
@@ -150,7 +161,7 @@ def _run_stage(
     if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
         return  # stopped by hand just before it was asked
     saved_s = time.monotonic()
-    state.network.train()
+    learner_of(state, stage).train()
     begun_s = time.monotonic()
     for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
         losses = take_step(state, batch.to(training.device), stage, training=training)
@@ -188,28 +199,31 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(stage, step=state.step)
     state.optimiser.zero_grad(set_to_none=True)
-    window = batch.window or training.window
-    with _precision(window, training.device):
-        output = state.network(standardise(batch.ref_BCHW), standardise(batch.src_BCHW), window)
-        loss, parts = objective(
-            output,
-            batch,
-            stage,
-            window=window,
-            teacher=state.teacher,
-            global_sum=training.processes.global_sum,
-        )
+    loss, parts = _losses(state, batch, stage, training=training)
     is_good = math.isfinite(float(loss.detach()))
     if training.processes.is_any(not is_good):
         raise _diverged("loss", stage, state)
     torch.autograd.backward(loss)
-    training.processes.sum_gradients(state.network)
-    norm = torch.nn.utils.clip_grad_norm_(state.network.parameters(), MAX_GRADIENT_NORM)
+    learner = learner_of(state, stage)
+    training.processes.sum_gradients(learner)
+    norm = torch.nn.utils.clip_grad_norm_(learner.parameters(), MAX_GRADIENT_NORM)
     if not math.isfinite(float(norm)):
         raise _diverged("gradient", stage, state)
     state.optimiser.step()
-    _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
+    if not stage.is_teaching_space:
+        _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
     return parts
+
+
+def _losses(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> tuple[Tensor, dict[str, float]]:
+    window, global_sum = batch.window or training.window, training.processes.global_sum
+    with _precision(window, training.device):
+        if stage.is_teaching_space:
+            space = learner_of(state, stage)
+            return space_objective(space, batch, stage, network=state.average, window=window, global_sum=global_sum)
+        shown = batch.views(is_symmetric=stage.options.symmetric_input)
+        output = state.network(*(prepare_view(state.network.features, view) for view in shown), window)
+        return objective(output, batch, stage, window=window, teacher=state.teacher, global_sum=global_sum)
 
 
 def _precision(window: Window, device: torch.device) -> AbstractContextManager[object]:
@@ -249,6 +263,8 @@ def _follow(average: StereoNetwork, network: StereoNetwork, *, decay: float) -> 
 
 
 def _is_judgement_due(training: Training, state: TrainingState, stage: Stage) -> bool:
+    if stage.is_teaching_space:  # which changes no match
+        return False
     every, last = stage.options.judge_every_steps or training.options.judge_every_steps, stage.options.steps
     due = state.step // every + (state.step == last and last % every != 0)
     return len(state.judgements) < due
@@ -307,7 +323,7 @@ def _end_stage(
         if state.best.step < state.step:
             reporter.said(f"{stage.name}: the weights of step {state.best.step} are kept, which were judged best")
     card = _card(training, stage, step=state.best.step if state.best else state.step, judgements=[result])
-    if training.processes.is_writer:
+    if training.processes.is_writer and not stage.is_teaching_space:
         save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
     reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
     is_worse = bool(state.stage_judgements) and _is_no_better(result, than=state.stage_judgements[state.best_stage])
@@ -349,7 +365,11 @@ def _card(training: Training, stage: Stage, *, step: int, judgements: Sequence[f
         network=training.network_name,
         window=training.window,
         recipe=training.recipe,
-        training={"stage": stage.name, "step": step, DECISIVE: list(judgements)},
+        training={
+            "stage": stage.name,
+            "step": step,
+            DECISIVE: [judgement for judgement in judgements if not math.isnan(judgement)],
+        },
     )
 
 

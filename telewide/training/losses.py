@@ -34,6 +34,10 @@ class Term:
     count: Tensor
 
 
+NamedTerms = list[tuple[str, Term]]
+"""Losses with the names that the log gives them."""
+
+
 def ssim(a_BCHW: Tensor, b_BCHW: Tensor) -> Tensor:
     """Structural similarity over 3x3 windows (Wang et al., 2004), without padding.
 

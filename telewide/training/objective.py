@@ -12,16 +12,13 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-from telewide.matching.networks import NetworkOutput, standardise
-from telewide.matching.sampling import is_inside_src, warp_to_ref
-from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.matching.networks import NetworkOutput
+from telewide.matching.window import Window
+from telewide.training.captured_losses import CAPTURED_LOSSES, Comparison
 from telewide.training.losses import (
     Term,
     distribution_loss,
-    feature_metric_loss,
-    photometric_loss,
     smoothness_loss,
     state_loss,
     supervised_loss,
@@ -49,6 +46,7 @@ class Batch:
         n_rehearsed: how many of the first crops are rendered; the others are real.
         occluded_BHW: (B, H, W) bool, hidden from src; None where nobody knows.
         window: disparities to search in these crops, px; None for the training's.
+        undamaged: both views as they were before any damage, (B, 3, H, W) in [0, 1]; None where nobody has them.
     """
 
     ref_BCHW: Tensor
@@ -57,11 +55,25 @@ class Batch:
     n_rehearsed: int
     occluded_BHW: Tensor | None = None
     window: Window | None = None
+    undamaged: tuple[Tensor, Tensor] | None = None
+
+    def views(self, *, is_symmetric: bool) -> tuple[Tensor, Tensor]:
+        """Both views (B, 3, H, W), undamaged ones where symmetry is asked for.
+
+        Raises:
+            ValueError: nobody has them.
+        """
+        if not is_symmetric:
+            return self.ref_BCHW, self.src_BCHW
+        if self.undamaged is None:
+            raise ValueError("undamaged views are asked for, and these crops have none")
+        return self.undamaged
 
     def to(self, device: torch.device) -> Batch:
         """Move the tensors."""
         ref, src, truth_px = (t.to(device) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
         occluded = None if self.occluded_BHW is None else self.occluded_BHW.to(device)
+        undamaged = None if self.undamaged is None else (self.undamaged[0].to(device), self.undamaged[1].to(device))
         return Batch(
             ref_BCHW=ref,
             src_BCHW=src,
@@ -69,6 +81,7 @@ class Batch:
             n_rehearsed=self.n_rehearsed,
             occluded_BHW=occluded,
             window=self.window,
+            undamaged=undamaged,
         )
 
 
@@ -94,15 +107,28 @@ def objective(
     weighted = _supervised_terms(output, batch, stage, window)
     if stage.options.captured and stage.options.captured_loss != "labels":
         weighted += _captured_terms(output=output, batch=batch, stage=stage, window=window, teacher=teacher)
+    return add_up(weighted, global_sum=global_sum)
+
+
+Weighted = list[tuple[str, float, Term]]
+
+
+def add_up(weighted: Weighted, *, global_sum: Reduce) -> tuple[Tensor, dict[str, float]]:
+    """Weigh and add up losses, each a mean over all processes.
+
+    Args:
+        weighted: name, weight and this process' sum and count of each.
+        global_sum: adds a tensor up over all processes; the identity for one.
+
+    Returns:
+        The scalar to differentiate (this process' share of the sum), and the parts of all processes for the log.
+    """
     counts = global_sum(torch.stack([term.count.detach() for _, _, term in weighted])).clamp(min=1.0)
     shares = torch.stack([weight * term.total for _, weight, term in weighted]) / counts
     parts: dict[str, float] = {}
     for (name, _, _), value in zip(weighted, global_sum(shares.detach()).tolist(), strict=True):
         parts[name] = parts.get(name, 0.0) + value
     return shares.sum(), parts
-
-
-Weighted = list[tuple[str, float, Term]]
 
 
 def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window: Window) -> Weighted:
@@ -117,9 +143,7 @@ def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window:
         # Decided by the stage and not by the batch: every process has the same terms, some of them without crops.
         if not weight:
             continue
-        truth_px = batch.truth_px_BHW[part]
-        # What the volume cannot hold is no lesson.
-        truth_px = torch.where((truth_px >= window[0]) & (truth_px < window[1]), truth_px, torch.nan)
+        truth_px = _within(batch.truth_px_BHW[part], window)
         terms.append((name, weight, distribution_loss(output.logits_BDHW[part], truth_px, window=window)))
         terms += [
             (name, weight * factor, supervised_loss(disparity_px[part], truth_px))
@@ -146,49 +170,32 @@ def _captured_terms(
     output: NetworkOutput, batch: Batch, stage: Stage, window: Window, teacher: nn.Module | None
 ) -> Weighted:
     options, part = stage.options, slice(batch.n_rehearsed, None)
-    ref, src = batch.ref_BCHW[part], batch.src_BCHW[part]
+    ref, src = (view[part] for view in batch.views(is_symmetric=options.symmetric_loss))
     visible = visible_mask(output.logits_BDHW[part], window=window) if options.occlusion_masks else None
+    truth_px = _within(batch.truth_px_BHW[part], window)
     terms: Weighted = []
     for disparity_px, factor in _weighted_outputs(output):
         disparity, weight = disparity_px[part], factor * options.captured_weight
-        if options.captured_loss == "feature":
-            if teacher is None:
-                raise ValueError(f"stage {stage.name} compares features, but no extractor was handed over")
-            term = _through_extractor(
-                teacher=teacher, ref=ref, src=src, disparity_px=disparity, visible=visible, alpha=options.alpha
-            )
-        else:
-            mask = is_inside_src(disparity.detach())
-            if visible is not None:
-                mask &= _enlarge(visible)
-            term = photometric_loss(ref, src, disparity, mask_BHW=mask, alpha=options.alpha)
-        terms.append((options.captured_loss, weight, term))
+        crops = Comparison(
+            ref_BCHW=ref,
+            src_BCHW=src,
+            truth_px_BHW=truth_px,
+            disparity_px_BHW=disparity,
+            visible_Bhw=visible,
+            space=teacher,
+            alpha=options.alpha,
+        )
+        terms.append((options.captured_loss, weight, CAPTURED_LOSSES[options.captured_loss](crops)))
         terms.append(("smoothness", weight * options.smoothness, smoothness_loss(disparity, ref)))
     return terms
 
 
-def _through_extractor(
-    teacher: nn.Module, ref: Tensor, src: Tensor, disparity_px: Tensor, visible: Tensor | None, alpha: float
-) -> Term:
-    """Eq. 5: warp the image first, then extract features of it."""
-    if not len(ref):  # this process has no real crop of the joint batch
-        return Term(disparity_px.sum(), disparity_px.sum())
-    with torch.no_grad():
-        target = teacher(standardise(ref))[0]
-    # Standardised before the warp: the zeros that fall in from outside must not shift the mean.
-    warped = teacher(warp_to_ref(standardise(src), disparity_px))[0]
-    inside = is_inside_src(disparity_px.detach())
-    mask = functional.avg_pool2d(inside.float()[:, None], VOLUME_STEP_PX)[:, 0] > 0.99
-    if visible is not None:
-        mask &= visible
-    return feature_metric_loss(target, warped, mask_BHW=mask, alpha=alpha)
+def _within(truth_px: Tensor, window: Window) -> Tensor:
+    """Leave out what the volume cannot hold: it is no lesson."""
+    return torch.where((truth_px >= window[0]) & (truth_px < window[1]), truth_px, torch.nan)
 
 
 def _weighted_outputs(output: NetworkOutput) -> list[tuple[Tensor, float]]:
     *coarse, last = output.disparities_px
     weight = min(COARSE_WEIGHT, COARSE_WEIGHT_OF_ALL / max(1, len(coarse)))
     return [*((disparity_px, weight) for disparity_px in coarse), (last, 1.0)]
-
-
-def _enlarge(mask_Bhw: Tensor) -> Tensor:
-    return mask_Bhw.repeat_interleave(VOLUME_STEP_PX, dim=1).repeat_interleave(VOLUME_STEP_PX, dim=2)

@@ -15,6 +15,10 @@ WEIGHTS_NAME = "weights.safetensors"
 """Of the result of a training, in the folder of the training."""
 
 
+CapturedLoss = Literal["photometric", "feature", "labels", "supervised"]
+SpaceName = Literal["own", "contrastive", "auto-encoder"]
+
+
 class StageOptions(Options):
     """One stage: where its crops come from, what they are compared by, how long it lasts."""
 
@@ -29,8 +33,9 @@ class StageOptions(Options):
     """Crops a step that are rendered from the user's photos, with exact disparity."""
     captured: Count = 0
     """Crops a step of the real captures."""
-    captured_loss: Literal["photometric", "feature", "labels"] = "photometric"
-    """What the real crops are compared by: eq. 3, eq. 5, or confident semi-global labels."""
+    captured_loss: CapturedLoss = "photometric"
+    """Comparison of the real crops: by eq. 3, eq. 5, confident semi-global labels, or smooth L1 alone against the
+    labels, which are the truth where a data set has it."""
     captured_weight: Positive = 1.0
     """Weight of the real crops' loss beside the rehearsed crops'."""
     alpha: Annotated[float, Field(ge=0)] = 3.0
@@ -41,6 +46,10 @@ class StageOptions(Options):
     """Leave pixels out of the real crops' loss that fail the left-right check."""
     swaps_views: bool = False
     """Exchange the views of real crops half of the time, mirrored, as the paper does."""
+    symmetric_input: bool = False
+    """Show the network undamaged views; for data sets that are damaged on purpose (settings S2 and S4 of the paper)."""
+    symmetric_loss: bool = False
+    """Compare undamaged views, whatever the network is shown (settings S3 and S4)."""
     labels_weight: Annotated[float, Field(ge=0)] = 0.0
     """Weight of confident semi-global labels beside another loss of the real crops."""
     judge_every_steps: Annotated[int, Field(ge=1)] | None = None
@@ -72,6 +81,10 @@ class TrainOptions(Options):
     """Supervised by rendered pairs; before the paper's stages."""
     photometric: StageOptions = StageOptions(steps=0)
     """Stage 0 of the paper, eq. 3."""
+    feature_space: SpaceName = "own"
+    """Where eq. 5 compares: in the features of the stage before (the paper), of DeFeat-Net, or of FeatDepth."""
+    space: StageOptions = StageOptions(steps=0)
+    """How a feature space other than the network's own is taught, on real crops; before the stages that use it."""
     feature: StageOptions = StageOptions(steps=0, captured_loss="feature")
     """Stages 1 to K of the paper, eq. 5 with the extractor of the stage before."""
     average_decay: Annotated[float, Field(ge=0, lt=1)] = 0.995
@@ -91,7 +104,9 @@ class TrainOptions(Options):
     def _has_what_its_stages_need(self) -> TrainOptions:
         if self.asymmetry is not None and self.asymmetry[0] > self.asymmetry[1]:
             raise ValueError(f"asymmetry {list(self.asymmetry)} runs from the smaller factor to the larger")
-        is_first = not (self.rehearsal.steps or self.photometric.steps)
+        self._check_space()
+        # An auto-encoder needs pictures alone, a contrastive space the matches of a network.
+        is_first = not (self.rehearsal.steps or self.photometric.steps) and self.feature_space != "auto-encoder"
         feature = self.feature
         if is_first and self.stages and feature.steps and feature.captured and feature.captured_loss == "feature":
             raise ValueError(
@@ -99,3 +114,12 @@ class TrainOptions(Options):
                 "photometric.steps above 0"
             )
         return self
+
+    def _check_space(self) -> None:
+        if (self.feature_space == "own") != (self.space.steps == 0):
+            raise ValueError(
+                f"feature_space {self.feature_space} with space.steps {self.space.steps}: a space of its own is taught "
+                "in a stage of its own, and the network's own space needs none"
+            )
+        if self.space.steps and (self.space.rehearsed or not self.space.captured):
+            raise ValueError("a feature space is taught on real crops: space.captured above 0, space.rehearsed 0")

@@ -8,7 +8,7 @@ Letters: H W crop.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -39,11 +39,13 @@ class Sample:
         ref: (H, W, 3) float32 sRGB, the sharp view.
         src: (H, W, 3) float32 sRGB, the other view.
         truth_px: (H, W) float32 disparity, px, NaN where nothing is known.
+        undamaged: both views before any damage, where they are known.
     """
 
     ref: FloatImage
     src: FloatImage
     truth_px: FloatMap
+    undamaged: tuple[FloatImage, FloatImage] | None = None
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class SampleSource:
         window_px: disparities that the volume holds.
         asymmetry: range of the factor by which rehearsed views are damaged.
         area: the part of each capture that may be seen.
+        undamaged: by the name of a capture, the same with a source view that was not damaged; for data sets that are
+            damaged on purpose.
         reader: keeps the pictures last read.
     """
 
@@ -79,6 +83,7 @@ class SampleSource:
     asymmetry: tuple[float, float] = (1.0, 6.0)
     area: CropArea = field(default_factory=CropArea)
     labels_folder: Path | None = None
+    undamaged: Mapping[str, Capture] | None = None
     reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=768 << 20), compare=False)
 
 
@@ -106,7 +111,7 @@ def rehearse(source: SampleSource, *, rng: np.random.Generator) -> Sample:
     scene = random_scene(rng, hw=source.crop_hw, disparity_window_px=source.window_px, photos=photos)
     pair = render_pair(scene)
     damage = random_degradation(rng, factor=source.asymmetry)
-    return Sample(pair.ref, degrade(pair.src, damage, rng=rng), pair.disparity_px)
+    return Sample(pair.ref, degrade(pair.src, damage, rng=rng), pair.disparity_px, (pair.ref, pair.src))
 
 
 def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bool) -> Sample:
@@ -128,14 +133,24 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
         else _read_labels(labels_path(source.labels_folder / capture.name, window_px=source.window_px))
     )
     box, shift_px = _random_box(pair.tele.shape[:2], source, rng)
-    ref = _cut(pair.tele, box, source.crop_hw)
-    src = _cut(pair.wide, replace(box, x=box.x - shift_px), source.crop_hw)
+    src_box = replace(box, x=box.x - shift_px)
+    views = [_cut(pair.tele, box, source.crop_hw), _cut(pair.wide, src_box, source.crop_hw)]
+    if source.undamaged is not None:
+        views.append(_cut(source.reader.read(source.undamaged[capture.name]).wide, src_box, source.crop_hw))
     truth_px = _cut_labels(labels, box, source.crop_hw, shift_px=shift_px)
-    ref, src = _jitter((ref, src), rng)
+    ref, src, *rest = _jitter(views, rng)
+    undamaged = (ref, rest[0]) if rest else None
     if may_swap and rng.random() < 0.5:
-        ref, src = np.ascontiguousarray(src[:, ::-1]), np.ascontiguousarray(ref[:, ::-1])
+        ref, src = _exchanged((ref, src))
+        undamaged = None if undamaged is None else _exchanged(undamaged)
         truth_px = np.full_like(truth_px, np.nan)
-    return Sample(ref, src, truth_px)
+    return Sample(ref, src, truth_px, undamaged)
+
+
+def _exchanged(views: tuple[FloatImage, FloatImage]) -> tuple[FloatImage, FloatImage]:
+    """One for the other, mirrored, so that disparities keep their sign."""
+    ref, src = views
+    return np.ascontiguousarray(src[:, ::-1]), np.ascontiguousarray(ref[:, ::-1])
 
 
 def fitting_crop(crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]]) -> tuple[int, int]:
@@ -218,11 +233,10 @@ def _cut_labels(labels: FloatMap | None, box: _Box, crop_hw: tuple[int, int], *,
     return ((resized - shift_px) * np.float32(crop_hw[1] / box.width)).astype(np.float32)
 
 
-def _jitter(views: tuple[FloatImage, FloatImage], rng: np.random.Generator) -> tuple[FloatImage, FloatImage]:
-    """Gamma, brightness and colour drawn once and applied to both views, in the paper's ranges."""
+def _jitter(views: Sequence[FloatImage], rng: np.random.Generator) -> Sequence[FloatImage]:
+    """Gamma, brightness and colour drawn once and applied to all views, in the paper's ranges."""
     if rng.random() < 0.5:
         return views
     gamma = float(rng.uniform(0.8, 1.2))
     gain = (rng.uniform(0.8, 1.2) * rng.uniform(0.95, 1.05, size=3)).astype(np.float32)
-    ref, src = (np.clip(np.power(view, np.float32(gamma)) * gain, 0, 1) for view in views)
-    return ref, src
+    return [np.clip(np.power(view, np.float32(gamma)) * gain, 0, 1) for view in views]

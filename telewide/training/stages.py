@@ -1,10 +1,13 @@
-"""The order of training: rehearsal, photometric, then feature-metric stages 1 to K (paper, section 4.3)."""
+"""The order of training: rehearsal, photometric, a feature space, feature-metric stages 1 to K (paper, section 4.3)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from telewide.training.options import StageOptions, TrainOptions
+from telewide.training.options import SpaceName, StageOptions, TrainOptions
+
+SPACE_STAGE = "space"
+"""Name of the stage that teaches a feature space."""
 
 
 @dataclass(frozen=True)
@@ -15,27 +18,40 @@ class Stage:
         name: as it stands in logs and file names.
         index: position in the plan; part of every sample's seed.
         options: crops, loss and length.
+        space: in which a feature-metric loss compares, or which is taught.
     """
 
     name: str
     index: int
     options: StageOptions
+    space: SpaceName = "own"
+
+    @property
+    def is_teaching_space(self) -> bool:
+        """Whether it teaches the feature space and leaves the network as it is."""
+        return self.name == SPACE_STAGE
 
     @property
     def needs_teacher(self) -> bool:
-        """Whether its loss looks through the frozen extractor of the stage before."""
-        return self.options.captured > 0 and self.options.captured_loss == "feature"
+        """Whether its loss looks through a frozen extractor: of the stage before, or a feature space of its own."""
+        return not self.is_teaching_space and self.options.captured > 0 and self.options.captured_loss == "feature"
 
     @property
     def needs_labels(self) -> bool:
         """Whether confident labels of the captures take part."""
         options = self.options
-        return options.captured > 0 and (options.captured_loss == "labels" or options.labels_weight > 0)
+        has_labels = options.captured_loss in {"labels", "supervised"} or options.labels_weight > 0
+        return options.captured > 0 and has_labels and not self.is_teaching_space
+
+    @property
+    def needs_undamaged(self) -> bool:
+        """Whether undamaged views take part, which real captures do not have."""
+        return self.options.symmetric_input or self.options.symmetric_loss
 
 
 def plan_stages(options: TrainOptions) -> tuple[Stage, ...]:
     """List the stages in order; those without steps are left out."""
-    named = [("rehearsal", options.rehearsal), ("photometric", options.photometric)]
+    named = [("rehearsal", options.rehearsal), ("photometric", options.photometric), (SPACE_STAGE, options.space)]
     named += [(f"feature-{k}", options.feature) for k in range(1, options.stages + 1)]
     kept = [(name, stage) for name, stage in named if stage.steps]
-    return tuple(Stage(name, index, stage) for index, (name, stage) in enumerate(kept))
+    return tuple(Stage(name, index, stage, options.feature_space) for index, (name, stage) in enumerate(kept))

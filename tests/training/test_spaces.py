@@ -1,0 +1,111 @@
+"""Feature spaces of their own: losses written out by hand, shapes, and that each is learned in a few steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from training.small import CROP_HW, WINDOW, rendered, stage_of, tensor_of
+
+from telewide.matching.networks import build_network, comparable_map, prepare_view
+from telewide.training.auto_encoder import AutoEncoder, slope_and_bend
+from telewide.training.contrastive import NEGATIVE_OFFSETS_PX, contrastive_loss
+from telewide.training.objective import Batch
+from telewide.training.spaces import SPACES, build_space, space_objective
+
+
+def rand(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_the_contrastive_loss_is_its_formula() -> None:
+    """Pixel by pixel, at whole disparities: half the squared distance of matches, half the squared lack of others."""
+    ref, src = (torch.nn.functional.normalize(rand(1, 3, 3, 64, seed=s) - 0.5, dim=1) for s in (1, 2))
+    total, count = 0.0, 0
+    for y in range(3):
+        for x in range(64):
+            matches = [(x - 5, None)] + [(x - 5 - offset, offset) for offset in NEGATIVE_OFFSETS_PX]
+            for column, offset in matches:
+                if not 0 <= column < 64:
+                    continue
+                apart = float((ref[0, :, y, x] - src[0, :, y, column]).norm())
+                if offset is None:
+                    total, count = total + apart**2 / 2, count + 1
+                else:
+                    total += max(0.0, 0.5 - apart) ** 2 / 2 / len(NEGATIVE_OFFSETS_PX)
+    term = contrastive_loss(ref, src, torch.full((1, 3, 64), 5.0, dtype=torch.float64))
+    assert float(term.count) == count
+    assert float(term.total) == pytest.approx(total, rel=1e-4)
+    assert len(NEGATIVE_OFFSETS_PX) == 10
+
+
+def test_the_contrastive_gradient() -> None:
+    ref, src = rand(1, 3, 2, 40).requires_grad_(), rand(1, 3, 2, 40, seed=1).requires_grad_()
+    disparity_px = torch.full((1, 2, 40), 3.0, dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda a, b: contrastive_loss(a, b, disparity_px).total, (ref, src), atol=1e-4)
+
+
+def test_slopes_and_bends_are_differences_that_the_picture_excuses() -> None:
+    """First and second differences times ``exp(-|that of the picture|)``: by hand, of a ramp, and of a parabola."""
+    features, image = rand(2, 4, 6, 7), rand(2, 3, 6, 7, seed=1)
+    f, i = features.numpy(), image.numpy()
+    for order, found in zip((1, 2), slope_and_bend(features, image), strict=True):
+        expected = 0.0
+        for axis in (2, 3):
+            weight = np.exp(-np.abs(np.diff(i, n=order, axis=axis)).mean(axis=1, keepdims=True))
+            expected += (np.abs(np.diff(f, n=order, axis=axis)) * weight).mean()
+        assert float(found) == pytest.approx(expected)
+    x = torch.arange(7, dtype=torch.float64).expand(1, 1, 6, 7)
+    flat = torch.zeros(1, 3, 6, 7, dtype=torch.float64)
+    assert [float(v) for v in slope_and_bend(2 * x, flat)] == pytest.approx([2.0, 0.0])
+    assert float(slope_and_bend(x * x, flat)[1]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("name", "shape"), [("contrastive", (2, 3, 64, 96)), ("auto-encoder", (2, 64, 32, 48))])
+def test_a_space_has_one_map_to_compare_in(name: str, shape: tuple[int, ...]) -> None:
+    space = build_space(name).eval()
+    image = torch.rand(2, 3, 64, 96)
+    with torch.no_grad():
+        found = comparable_map(space, prepare_view(space, image))
+    assert found.shape == shape
+    if name == "contrastive":
+        torch.testing.assert_close(found.norm(dim=1), torch.ones(2, 64, 96))
+    state = torch.random.get_rng_state()
+    again, other = build_space(name), build_space(name, seed=1)
+    assert torch.equal(torch.random.get_rng_state(), state)
+    weights = [next(s.parameters()) for s in (space, again, other)]
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+
+
+def test_an_auto_encoder_rebuilds_four_sizes_from_its_deepest_map_alone() -> None:
+    space = AutoEncoder().eval()
+    with torch.no_grad():
+        maps = space(torch.rand(1, 3, 64, 128))
+        pictures = space.decode(maps[-1])
+    assert [m.shape[-1] for m in maps] == [64, 32, 16, 8, 4]
+    assert [tuple(p.shape) for p in pictures] == [(1, 3, 64 // n, 128 // n) for n in (8, 4, 2, 1)]
+    assert all(p.min() >= 0 and p.max() <= 1 for p in pictures)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_a_space_is_learned(name: str) -> None:
+    """A few steps on one batch lower what teaches it, every weight takes part, and the network stays as it is."""
+    pairs = [rendered(seed, hw=CROP_HW) for seed in (0, 1)]
+    ref, src = (torch.cat([tensor_of(getattr(pair, view)) for pair in pairs]) for view in ("ref", "src"))
+    batch = Batch(ref, src, torch.full((2, *CROP_HW), torch.nan), 0)
+    stage, network, space = stage_of(steps=1, captured=2), build_network("lite"), build_space(name).train()
+    stage = type(stage)("space", 0, stage.options, name)  # type: ignore[arg-type]
+    before = [p.clone() for p in network.parameters()]
+    optimiser = torch.optim.Adam(space.parameters(), lr=1e-3)
+    losses = []
+    for _ in range(12):
+        loss, parts = space_objective(space, batch, stage, network=network, window=WINDOW, global_sum=lambda x: x)
+        optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        assert [key for key, p in space.named_parameters() if p.grad is None] == []
+        optimiser.step()
+        losses.append(float(loss.detach()))
+        assert sum(parts.values()) == pytest.approx(losses[-1], rel=1e-4)
+    assert losses[-1] < losses[0] - 0.05 * abs(losses[0])
+    assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))
