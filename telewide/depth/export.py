@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,4 +146,4 @@ def npz_arrays(result: DepthResult) -> dict[str, NDArray[np.generic]]:
 
 def _write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
     with replacing(path) as temporary, temporary.open("wb") as file:  # a file, for numpy would add .npz to a name
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        np.savez_compressed(file, **cast(dict[str, Any], arrays))  # its types take a name for an option

@@ -27,7 +27,7 @@ def test_project_is_opencvs(distortion: tuple[float, ...], rng: np.random.Genera
     lens = camera((600, 800), f_px=700, off_centre_px=(4, -9), distortion=distortion)
     points_m = rng.uniform([-0.6, -0.5, 0.9], [0.6, 0.5, 3.0], (50, 3))
     by_opencv, _ = cv2.projectPoints(
-        points_m, np.zeros(3), np.zeros(3), lens.K, np.array([*distortion, 0, 0, 0, 0])[:8]
+        points_m, np.zeros(3), np.zeros(3), lens.K, np.array([*distortion, 0, 0, 0, 0], dtype=np.float64)[:8]
     )
     np.testing.assert_allclose(lens.project(points_m), by_opencv[:, 0], atol=1e-9)
 
