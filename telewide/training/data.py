@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from multiprocessing import resource_tracker
 
 import cv2
 import numpy as np
@@ -122,6 +123,7 @@ def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Itera
 def _interrupts_held() -> Iterator[None]:
     """Let no Ctrl-C through within the block; one that comes meanwhile is answered afterwards."""
     if hasattr(signal, "pthread_sigmask"):
+        resource_tracker.ensure_running()  # lets interrupts through when it starts, as it would with the first worker
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             yield
