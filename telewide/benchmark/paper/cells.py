@@ -25,6 +25,7 @@ from telewide.benchmark.paper.systems import System, Task, Tell, source_fingerpr
 from telewide.benchmark.paper.tables import Column
 from telewide.benchmark.report import library_versions
 from telewide.benchmark.scores import score_regions
+from telewide.benchmark.spaces import space_psnr_db
 from telewide.errors import TelewideError
 from telewide.files import read_json, write_text
 from telewide.folders import alone_in
@@ -140,17 +141,21 @@ class Cells:
 
     def _computed(self, plan: CellPlan) -> list[Row]:
         self.tell(f"{plan.system.title}: {plan.column.heading}")
-        matchers = plan.system.prepare(plan.task, self.out / "systems" / plan.system.name, self.tell)
+        own_folder = self.out / "systems" / plan.system.name
+        matchers = plan.system.prepare(plan.task, own_folder, self.tell)
+        encoder = plan.system.encoder and plan.system.encoder(plan.task, own_folder, self.tell)
         rows: list[Row] = []
         for scene in plan.scenes:
-            truth = plan.task.asymmetric(scene.name, scene.read())
+            sharp = scene.read()
+            truth = plan.task.asymmetric(scene.name, sharp)
+            psnr_db = space_psnr_db(encoder(sharp.right), encoder(truth.right)) if encoder else math.nan
             if not np.isfinite(truth.disparity_px).any():
                 self.tell(f"{scene.name}: no disparity is known, left out")
                 continue
             window = search_window(scene.protocol, truth)
             for weights, match in matchers.items():
                 judged = _judged(match(truth.left, truth.right, window), truth)
-                rows += [{"scene": scene.name, "weights": weights, **row} for row in judged]
+                rows += [{"scene": scene.name, "weights": weights, **row, "space_psnr_db": psnr_db} for row in judged]
         return rows
 
     def _fingerprint(self, scene: Scene) -> str:

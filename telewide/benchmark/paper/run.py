@@ -129,14 +129,14 @@ def _systems(table: Table, names: Sequence[str]) -> tuple[list[System], list[str
     return [SYSTEMS[name] for name in table.rows if name in SYSTEMS], notes
 
 
-def _means(rows: Sequence[Row]) -> dict[tuple[str, str, str], tuple[float, float]]:
-    """3PE in per cent and EPE in px by system, weights and column."""
+def _means(rows: Sequence[Row]) -> dict[tuple[str, str, str], tuple[float, float, float]]:
+    """3PE in per cent, EPE in px and PSNR of the features in dB by system, weights and column."""
     values: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
         if row["region"] == "all":
             values.setdefault((str(row["system"]), str(row["weights"]), str(row["column"])), []).append(row)
     return {
-        key: (100 * _mean(found, "off_3px_5percent"), _mean(found, "end_point_error_px"))
+        key: (100 * _mean(found, "off_3px_5percent"), _mean(found, "end_point_error_px"), _mean(found, "space_psnr_db"))
         for key, found in values.items()
     }
 
@@ -146,6 +146,8 @@ def _mean(rows: Sequence[Mapping[str, object]], key: str) -> float:
     return float(np.mean([value if isinstance(value, int | float) else math.nan for value in values]))
 
 
-def _cell(ours: tuple[float, float] | None, published: Published | None) -> str:
+def _cell(ours: tuple[float, float, float] | None, published: Published | None) -> str:
     shown = "-" if ours is None else f"{number(ours[0], '.2f')} / {number(ours[1], '.2f')}"
+    if ours is not None and math.isfinite(ours[2]):
+        shown += f" / {ours[2]:.2f} dB"
     return shown if published is None else f"{shown} ({published})"

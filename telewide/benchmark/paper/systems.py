@@ -18,6 +18,7 @@ import numpy as np
 from telewide.benchmark.damages import Damage, damaged_view
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.datasets.truth import StereoTruth
+from telewide.benchmark.spaces import match_features
 from telewide.errors import UsageError
 from telewide.geometry.arrays import ByteImage, FloatMap
 from telewide.matching.filling import fill_rows
@@ -28,11 +29,14 @@ from telewide.srgb import grey
 Tell = Callable[[str], None]
 Matcher = Callable[[FloatMap, FloatMap, Window], FloatMap]
 """(ref, src, window) to the filled disparity of ref, px."""
+Encoder = Callable[[FloatMap], FloatMap]
+"""View to its features, (H, W, C)."""
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 _BLOCK = 5
 _SGBM_STEP_PX = 16
 _SGBM_FRACTION = 16
+_PATCH_PX = 5
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,7 @@ class System:
             last and best, or one without a name.
         sources: modules of telewide that decide what it answers; a change to one of them makes its cells anew.
         learns: whether training, validation and budget of the task matter.
+        encoder: of a space of features, (task, folder, tell) to what makes them; None for a system that is none.
     """
 
     name: str
@@ -86,6 +91,7 @@ class System:
     prepare: Callable[[Task, Path, Tell], Mapping[str, Matcher]]
     sources: tuple[str, ...]
     learns: bool = True
+    encoder: Callable[[Task, Path, Tell], Encoder] | None = None
 
 
 def match_like_opencv(ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
@@ -112,6 +118,10 @@ def match_like_opencv(ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
     return fill_rows(np.where(found_px < window[0], np.float32(np.nan), found_px))
 
 
+def _match_patches(ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
+    return match_features(ref, src, window=window, patch_px=_PATCH_PX)
+
+
 def _match_semiglobal(ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
     return match_semiglobal(ref, src, window=window).disparity_px
 
@@ -130,6 +140,14 @@ _SYSTEMS = (
         lambda _task, _folder, _tell: {"": _match_semiglobal},
         ("matching.semiglobal", "matching.filling", "matching.subpixel"),
         learns=False,
+    ),
+    System(
+        "image-space",
+        "Image",
+        lambda _task, _folder, _tell: {"": _match_patches},
+        sources=("benchmark.spaces",),
+        learns=False,
+        encoder=lambda _task, _folder, _tell: lambda view: view,
     ),
 )
 SYSTEMS: dict[str, System] = {system.name: system for system in _SYSTEMS}

@@ -24,15 +24,18 @@ class Published:
     Attributes:
         off_3px_5percent: 3PE, per cent.
         end_point_error_px: EPE; None where it is not stated.
+        space_psnr_db: PSNR of the features; likewise.
     """
 
     off_3px_5percent: float
-    end_point_error_px: float | None
+    end_point_error_px: float | None = None
+    space_psnr_db: float | None = None
 
     def __str__(self) -> str:
         """As it stands in the brackets of a table."""
         end_point = "" if self.end_point_error_px is None else f" / {self.end_point_error_px:.2f}"
-        return f"{self.off_3px_5percent:.2f}{end_point}"
+        psnr = "" if self.space_psnr_db is None else f" / {self.space_psnr_db:.2f} dB"
+        return f"{self.off_3px_5percent:.2f}{end_point}{psnr}"
 
 
 @dataclass(frozen=True)
@@ -153,5 +156,7 @@ def _values(text: str, expected: int, source: str) -> tuple[Published | None, ..
 
 
 def _value(word: str) -> Published:
-    off, _, end_point = word.partition("/")
-    return Published(float(off), float(end_point) if end_point else None)
+    numbers = [None if part == _NONE else float(part) for part in word.split("/")]
+    if len(numbers) > 3 or numbers[0] is None:
+        raise ValueError(f"found {word}")
+    return Published(numbers[0], *numbers[1:])

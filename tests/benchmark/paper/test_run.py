@@ -20,9 +20,10 @@ from telewide.benchmark.paper import systems as systems_module
 from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
 from telewide.benchmark.paper.systems import SYSTEMS, Matcher, System, Task, Tell, match_like_opencv
 from telewide.benchmark.paper.tables import Column, Published, Table
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import read_image, write_image, write_pfm
 from telewide.cli.app import app
 from telewide.errors import InputError, UsageError
+from telewide.simulate.degrade import shrink_and_enlarge
 
 DISPARITY_PX = 6
 HW = (64, 128)
@@ -126,6 +127,19 @@ def test_what_fails_leaves_the_other_cells(data: Path, asked: list[Task], monkey
     assert any("Broken" in note and "no weights" in note for note in report.notes)
     with pytest.raises(InputError, match="no cell"):
         benchmark_table(TABLE, options(data, systems=("broken",)), tell=lambda _: None)
+
+
+def test_the_picture_as_a_space(data: Path) -> None:
+    table = Table("spaces", "Spaces", COLUMNS[:1], {"image-space": (Published(55.3, None, 24.65),)})
+    report = benchmark_table(table, options(data), tell=lambda _: None)
+    pictures = [read_image(data / "captures" / scene / "wide.png") for scene in ("one", "two")]
+    expected_db = [
+        -10 * np.log10(np.mean((shrink_and_enlarge(picture, factor=2) - picture) ** 2) / np.ptp(picture) ** 2)
+        for picture in pictures
+    ]
+    assert [row["space_psnr_db"] for row in report.rows] == pytest.approx(expected_db, abs=0.01)
+    assert all(float(str(row["off_3px_5percent"])) < 0.2 for row in report.rows)
+    assert f"{np.mean(expected_db):.2f} dB (55.30 / 24.65 dB)" in paper_table(table, report)
 
 
 def test_missing_data_and_slips(data: Path, asked: list[Task]) -> None:

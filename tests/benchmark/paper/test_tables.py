@@ -19,6 +19,7 @@ def value(table: str, system: str, heading: str) -> Published | None:
 
 def test_values_stand_where_they_are_published() -> None:
     assert value("settings", "basenet", "Inria_SLFD BIC x6") == Published(22.72, None)
+    assert value("spaces", "s1-space", "Inria_SLFD BIC x4") == Published(20.91, None, 28.0)
     assert value("stages", "method-k2", "Inria_SLFD BIC x8") == Published(14.30, None)
     assert value("overall", "sgm-opencv", "HCI AG_JPEG x4") == Published(8.62, 1.278)
     assert value("overall", "method", "KITTI2015 IG x4") == Published(10.08, 1.901)
@@ -47,6 +48,7 @@ def test_slips(tmp_path: Path) -> None:
     for slip, expected in (
         ("data_sets: [A], factors: [2, 4], rows: {sgm: '1.0'}}", "1 values"),
         ("data_sets: [A], factors: [2], rows: {sgm: a/b}}", "such as 12.41/1.849"),
+        ("data_sets: [A], factors: [2], rows: {sgm: 1/2/3/4}}", "found 1/2/3/4"),
         ("data_sets: [B], factors: [2], rows: {}}", "does not describe"),
     ):
         path.write_text(head + slip)
