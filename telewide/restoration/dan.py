@@ -1,7 +1,8 @@
 """DAN, which assumes a Gaussian blur before bicubic shrinking: deep alternating network (Luo et al., 2020), version 1.
 
 A restorer and an estimator of the blur take turns. Layout and parameter names are those of the authors' code, so that
-their checkpoints load; the principal components of the kernels come with them. Letters: B batch, C channels, H W image.
+their checkpoints load; the principal components of the kernels come with them.
+Letters: B batch, C channels, H W image; in the authors' names L R low and H R high resolution.
 """
 
 from __future__ import annotations
