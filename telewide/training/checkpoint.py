@@ -26,6 +26,7 @@ from telewide.errors import InputError, UsageError
 from telewide.files import parse_json, replacing
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window, check_stated_window
+from telewide.text import json_text
 from telewide.training.spaces import build_space
 from telewide.training.stages import Stage
 
@@ -248,8 +249,8 @@ def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> No
         "format": FORMAT,
         "network": card.network,
         "window": json.dumps(list(card.window)),
-        "recipe": json.dumps(card.recipe),
-        "training": json.dumps(card.training),
+        "recipe": json_text(card.recipe),
+        "training": json_text(card.training),
     }
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
     content = save(tensors, metadata=metadata)

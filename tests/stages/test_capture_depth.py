@@ -154,7 +154,7 @@ def test_what_moved_between_the_photos_is_not_measured(capture: Capture, tmp_pat
 
     held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
     outcome = depth_of_capture(
-        capture, held_out, tmp_path / "run", facts=FACTS, match=even, bokeh=None, key={}, shot=shot
+        capture, held_out, tmp_path / "run", facts=FACTS, match=even, window=(0, 32), bokeh=None, key={}, shot=shot
     )
     assert isinstance(outcome, DepthOutcome)
     with np.load(tmp_path / "run" / "depth.npz") as depth:
