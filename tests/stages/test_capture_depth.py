@@ -147,7 +147,7 @@ def test_what_moved_between_the_photos_is_not_measured(capture: Capture, tmp_pat
     outline_px = np.array([[50.0, 20.0], [70.0, 20.0], [70.0, 40.0], [50.0, 40.0]])
     shot = ShotGeometry(geometry, DepthPrecision(), moved=(MovedRegion(outline_px, 9, 3.0),))
 
-    def even(_ref: FloatMap, _src: FloatMap) -> DisparityMap:
+    def even(_ref: FloatMap, _src: FloatMap, *, window: tuple[int, int]) -> DisparityMap:
         return DisparityMap(
             np.full(geometry.hw, 5, np.float32), np.ones(geometry.hw, np.float32), np.ones(geometry.hw, bool)
         )
