@@ -374,8 +374,9 @@ def test_depth_says_that_its_weights_will_be_better(captures: Path, tmp_path: Pa
         depth_captures(captures, run=run, recipe=recipe, options=options, observer=heard)
         return [message for message in heard.messages if "training" in message]
 
-    unfinished = ["the training is not finished (rehearsal, step 2 of 4): telewide train goes on"]
-    assert told(None) == told(run / "train" / "weights.safetensors") == unfinished
+    unfinished = "the training of these weights is not finished (rehearsal, step 2 of 4)"
+    assert told(run / "train" / "weights.safetensors") == [unfinished]
+    assert told(None) == [f"{unfinished}; telewide train {captures} --out {run} goes on"]
     alone = Path(shutil.copy(run / "train" / "weights.safetensors", tmp_path / "weights.safetensors"))
     assert told(alone) == []
     run_training(captures, run, recipe)
