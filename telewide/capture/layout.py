@@ -126,7 +126,7 @@ def _candidates(folder: Path) -> _Candidates:
     own_name = _normal(folder.resolve().name) or "capture"
     for entry in _visible(folder):
         role = entry.name.casefold()
-        if entry.is_dir() and role in {*VIEWS, TRUTH} and not _holds_both_views(entry):
+        if entry.is_dir() and role in {*VIEWS, TRUTH} and not _has_both_views(entry):
             for file in _files(entry):
                 found[_normal(file.stem), "split"][_role_or_unread(file, role)].append(file)
         elif entry.is_dir():
@@ -169,7 +169,7 @@ def joined_by_case(groups: Mapping[str, Mapping[str, list[Path]]]) -> dict[str, 
     return joined
 
 
-def _holds_both_views(folder: Path) -> bool:
+def _has_both_views(folder: Path) -> bool:
     """Whether a folder is one capture, whatever its name: of a photo that was called tele, for instance."""
     return {file.stem.casefold() for file in _files(folder)}.issuperset(VIEWS)
 

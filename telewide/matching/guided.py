@@ -130,8 +130,8 @@ class _Hourglass(nn.Module):
         return left
 
 
-def _gated(volume: Tensor, gate_BCHW: Tensor) -> Tensor:
-    return volume * gate_BCHW.sigmoid()[:, :, None]
+def _gated(volume_BCDHW: Tensor, gate_BCHW: Tensor) -> Tensor:
+    return volume_BCDHW * gate_BCHW.sigmoid()[:, :, None]
 
 
 def _pooled(x: Tensor, factor: int) -> Tensor:

@@ -34,14 +34,14 @@ def write_labels(
     wanted = set(names)
     for item in prepared.pairs:
         path = labels_path(item.capture.tele_path.parent, window_px=window)
-        if item.capture.name in wanted and not _are_whole(path, of=item.capture.tele_path):
+        if item.capture.name in wanted and not _is_each_whole(path, of=item.capture.tele_path):
             pair = read_pair(item.capture)
             write_pfm(path, _confident(pair, window))
         if tick is not None:
             tick()
 
 
-def _are_whole(labels: Path, *, of: Path) -> bool:
+def _is_each_whole(labels: Path, *, of: Path) -> bool:
     try:
         return read_pfm(labels).shape == read_photo_facts(of).hw
     except (InputError, UsageError):  # not there, or cut off

@@ -69,7 +69,7 @@ def draw_world(
     far_px, near_px = disparities_px
     focal_px = hw[1] * math.exp(rng.uniform(math.log(0.7), math.log(2.5)))
     nearness = 1 + math.exp(rng.uniform(math.log(0.15), math.log(6.0)))
-    baseline = (near_px - far_px) / (focal_px * (nearness - 1))
+    baseline_m = (near_px - far_px) / (focal_px * (nearness - 1))
     centre_px = (hw[1] * rng.uniform(0.4, 0.6), hw[0] * rng.uniform(0.3, 0.6))
     draft = _Draft(
         rng=rng,
@@ -82,20 +82,20 @@ def draw_world(
         backdrop=_NO_MATERIAL,
         detail=math.exp(rng.uniform(-0.3, 1.1)),
     )
-    draft = replace(draft, backdrop=_material(draft, depth=1.0))
+    draft = replace(draft, backdrop=_material(draft, depth_m=1.0))
     draft, background = _background(draft)
     solids = [*background]
     solids += [_single(draft) for _ in range(int(rng.integers(4, 26)))]
     for _ in range(int(rng.choice([0, 0, 1, 1, 2]))):
         solids += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
     light = Light(_unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
-    sky = replace(_material(draft, depth=1.0), gloss=0.0, macro_contrast=0.3)
+    sky = replace(_material(draft, depth_m=1.0), gloss=0.0, macro_contrast=0.3)
     return World(
         hw=hw,
         focal_px=focal_px,
         centre_px=centre_px,
-        baseline=baseline,
-        offset_px=far_px - focal_px * baseline,
+        baseline_m=baseline_m,
+        offset_px=far_px - focal_px * baseline_m,
         solids=tuple(_with_shadows(solids, rng)),
         light=light,
         sky=sky,
@@ -103,7 +103,13 @@ def draw_world(
 
 
 _NO_MATERIAL = Material(
-    texture=0, macro=0, texels_per_unit=1.0, offset=(0.0, 0.0), contrast=0.0, macro_contrast=0.0, tint=(1.0, 1.0, 1.0)
+    texture=0,
+    macro=0,
+    texels_per_unit=1.0,
+    texel_shift=(0.0, 0.0),
+    contrast=0.0,
+    macro_contrast=0.0,
+    tint=(1.0, 1.0, 1.0),
 )
 
 
@@ -125,7 +131,7 @@ def _with_shadows(solids: list[Solid], rng: np.random.Generator) -> list[Solid]:
 # Materials
 
 
-def _material(draft: _Draft, *, depth: float) -> Material:
+def _material(draft: _Draft, *, depth_m: float) -> Material:
     rng = draft.rng
     texel_px = draft.detail * math.exp(rng.normal(0, 0.45))
     is_plain = rng.random() < PLAIN_SHARE
@@ -134,8 +140,8 @@ def _material(draft: _Draft, *, depth: float) -> Material:
     return Material(
         texture=int(rng.integers(draft.palette.n_textures)),
         macro=int(rng.integers(draft.palette.n_textures)),
-        texels_per_unit=draft.focal_px / (depth * texel_px),
-        offset=(float(rng.uniform(0, 512)), float(rng.uniform(0, 512))),
+        texels_per_unit=draft.focal_px / (depth_m * texel_px),
+        texel_shift=(float(rng.uniform(0, 512)), float(rng.uniform(0, 512))),
         contrast=float(contrast),
         macro_contrast=float(rng.uniform(0, 0.4 if is_plain else 1.2)),
         tint=(float(tint[0]), float(tint[1]), float(tint[2])),
@@ -143,9 +149,9 @@ def _material(draft: _Draft, *, depth: float) -> Material:
     )
 
 
-def _worn(draft: _Draft, *, depth: float) -> Material:
+def _worn(draft: _Draft, *, depth_m: float) -> Material:
     """A material of its own, or now and then the background's."""
-    return draft.backdrop if draft.rng.random() < SAME_AS_BEHIND else _material(draft, depth=depth)
+    return draft.backdrop if draft.rng.random() < SAME_AS_BEHIND else _material(draft, depth_m=depth_m)
 
 
 # Backgrounds
@@ -163,7 +169,7 @@ def _wall(draft: _Draft) -> Solid:
     slope = rng.uniform(-steepest, steepest, 2) * (rng.random(2) < 0.6)
     normal = np.array([slope[0] * draft.focal_px / width, slope[1] * draft.focal_px / height, 1.0])
     turn = _turn_with_z(_unit(normal))
-    waves = _waves(draft, extent=1.0, depth=1.0) if rng.random() < 0.3 else None
+    waves = _waves(draft, extent=1.0, depth_m=1.0) if rng.random() < 0.3 else None
     return Solid(
         kind=Kind.PLANE,
         turn=turn,
@@ -174,11 +180,11 @@ def _wall(draft: _Draft) -> Solid:
     )
 
 
-def _waves(draft: _Draft, *, extent: float, depth: float) -> FloatArray:
+def _waves(draft: _Draft, *, extent: float, depth_m: float) -> FloatArray:
     """Two or three sines whose slopes stay below about a third, in units of ``extent``."""
     rng = draft.rng
     count = int(rng.integers(1, 4))
-    lengths = np.exp(rng.uniform(math.log(25), math.log(250), count)) * depth / draft.focal_px / extent
+    lengths = np.exp(rng.uniform(math.log(25), math.log(250), count)) * depth_m / draft.focal_px / extent
     angles = rng.uniform(0, 2 * math.pi, count)
     rates = 2 * math.pi / lengths
     slopes = rng.uniform(0.05, 0.35, count) / count
@@ -197,13 +203,13 @@ def _ground(draft: _Draft) -> tuple[_Draft, Solid]:
     ground_y = below / draft.focal_px / (draft.nearness * draft.rng.uniform(0.5, 1.0))
     tilt = _rotation(np.array([0.0, 0.0, 1.0]), draft.rng.normal(0, 0.04))
     turn = tilt @ _turn_with_z(np.array([0.0, 1.0, 0.0]))
-    waves = _waves(draft, extent=1.0, depth=0.5) if draft.rng.random() < 0.2 else None
+    waves = _waves(draft, extent=1.0, depth_m=0.5) if draft.rng.random() < 0.2 else None
     ground = Solid(
         kind=Kind.PLANE,
         turn=turn,
         centre=np.array([0.0, ground_y, 1.0]),
         half_size=np.ones(3),
-        material=_material(draft, depth=0.7),
+        material=_material(draft, depth_m=0.7),
         waves=waves,
     )
     return replace(draft, ground_y=ground_y), ground
@@ -282,7 +288,7 @@ def _body(draft: _Draft, kind: Kind) -> Solid:
         turn=turn,
         centre=centre,
         half_size=half_size,
-        material=_worn(draft, depth=centre[2]),
+        material=_worn(draft, depth_m=centre[2]),
         taper=rng.uniform(0, 0.9) * (rng.random() < 0.5),
     )
 
@@ -317,7 +323,7 @@ def _rod(draft: _Draft) -> Solid:
         turn=_turn_with_z(way),
         centre=centre,
         half_size=half,
-        material=_worn(draft, depth=centre[2]),
+        material=_worn(draft, depth_m=centre[2]),
         taper=rng.uniform(0, 0.8) * (rng.random() < 0.4),
     )
 
@@ -332,13 +338,13 @@ def _sheet(draft: _Draft) -> Solid:
     outline = None if rng.random() < 0.1 else int(rng.integers(draft.palette.n_outlines))
     waves = None
     if rng.random() < 0.35 and radius_px > 20:
-        waves = _waves(draft, extent=float(half_size[0]), depth=centre[2])
+        waves = _waves(draft, extent=float(half_size[0]), depth_m=centre[2])
     return Solid(
         kind=Kind.SHEET,
         turn=turn,
         centre=centre,
         half_size=half_size,
-        material=_worn(draft, depth=centre[2]),
+        material=_worn(draft, depth_m=centre[2]),
         outline=outline,
         waves=waves,
     )
@@ -366,7 +372,7 @@ def _chair(draft: _Draft) -> list[Solid]:
     side_px = rng.uniform(20, 0.3 * draft.hw[1])
     centre, per_px = _place(draft, radius_px=side_px)
     side, leg = side_px * per_px, rng.uniform(0.6, 3.5) * per_px
-    turn, material = _upright(rng), _worn(draft, depth=centre[2])
+    turn, material = _upright(rng), _worn(draft, depth_m=centre[2])
     down = rng.uniform(0.6, 1.4) * side
 
     def part(kind: Kind, at: tuple[float, float, float], half: tuple[float, float, float]) -> Solid:
@@ -388,7 +394,7 @@ def _plant(draft: _Draft) -> list[Solid]:
     rng = draft.rng
     radius_px = rng.uniform(15, 0.3 * draft.hw[0])
     centre, per_px = _place(draft, radius_px=radius_px)
-    radius, material = radius_px * per_px, _material(draft, depth=centre[2])
+    radius, material = radius_px * per_px, _material(draft, depth_m=centre[2])
     outline = int(rng.integers(draft.palette.n_outlines))
     solids = []
     for _ in range(int(rng.integers(5, 14))):

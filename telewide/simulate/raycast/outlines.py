@@ -95,8 +95,8 @@ def _twig(rng: np.random.Generator, canvas: ByteImage) -> None:
             stack += [(end, angle + rng.normal(0, 0.6), width * 0.7, depth + 1) for _ in range(forks)]
 
 
-def _place_leaf(rng: np.random.Generator, canvas: ByteImage, at: NDArray[np.float64], angle: float) -> None:
-    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+def _place_leaf(rng: np.random.Generator, canvas: ByteImage, at: NDArray[np.float64], angle_rad: float) -> None:
+    turn = np.array([[math.cos(angle_rad), math.sin(angle_rad)], [-math.sin(angle_rad), math.cos(angle_rad)]])
     _fill(canvas, leaf_outline(rng) * [1, 2.0] * rng.uniform(0.12, 0.4) @ turn + at)
 
 

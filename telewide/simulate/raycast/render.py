@@ -56,7 +56,7 @@ def cast_pair(world: World, palette: Palette) -> CastPair:
 
 def disparity_of(depth: Tensor, world: World) -> Tensor:
     """Disparity in px of a depth; inf is allowed."""
-    return world.focal_px * world.baseline / depth + world.offset_px
+    return world.focal_px * world.baseline_m / depth + world.offset_px
 
 
 def _exposure(ref: Tensor, world: World) -> Tensor:

@@ -75,7 +75,7 @@ def _material(material: Material) -> list[float]:
         material.texture,
         material.macro,
         material.texels_per_unit,
-        *material.offset,
+        *material.texel_shift,
         material.contrast,
         material.macro_contrast,
         *material.tint,

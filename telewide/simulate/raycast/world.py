@@ -1,8 +1,8 @@
 """Ray-cast world: solids with materials, a light, two cameras side by side.
 
-The cameras look along z, x right, y down; ref stands at the origin, src at ``(baseline, 0, 0)``, its principal point
+The cameras look along z, x right, y down; ref stands at the origin, src at ``(baseline_m, 0, 0)``, its principal point
 ``offset_px`` further to the left. A point at depth Z has the disparity
-``x_ref - x_src = focal_px baseline / Z + offset_px``. The unit of length is the depth of the background.
+``x_ref - x_src = focal_px baseline_m / Z + offset_px``. The background stands at about a metre.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Material:
         texture: which fine texture of the palette.
         macro: which texture, ten times coarser, varies its brightness.
         texels_per_unit: of the fine texture.
-        offset: (2,) texels.
+        texel_shift: (2,) where the texture begins.
         contrast: of the fine texture about its mean.
         macro_contrast: of the coarse one.
         tint: (3,) factors of R, G, B.
@@ -33,7 +33,7 @@ class Material:
     texture: int
     macro: int
     texels_per_unit: float
-    offset: tuple[float, float]
+    texel_shift: tuple[float, float]
     contrast: float
     macro_contrast: float
     tint: tuple[float, float, float]
@@ -92,7 +92,7 @@ class Camera:
     """One of the two cameras.
 
     Attributes:
-        x: where it stands on the baseline, world.
+        x: where it stands on the baseline_m, world.
         focal_px: focal length.
         centre_px: (x, y) principal point.
         hw: height and width of its view, px.
@@ -112,7 +112,7 @@ class World:
         hw: height and width of the views, px.
         focal_px: of both cameras.
         centre_px: (x, y) principal point of ref.
-        baseline: distance of the cameras.
+        baseline_m: distance of the cameras.
         offset_px: disparity of what is infinitely far.
         solids: in any order.
         light: one for the whole scene.
@@ -122,7 +122,7 @@ class World:
     hw: tuple[int, int]
     focal_px: float
     centre_px: tuple[float, float]
-    baseline: float
+    baseline_m: float
     offset_px: float
     solids: tuple[Solid, ...]
     light: Light
@@ -137,4 +137,4 @@ class World:
     def src(self) -> Camera:
         """The camera of the other view."""
         centre_px = (self.centre_px[0] - self.offset_px, self.centre_px[1])
-        return Camera(self.baseline, self.focal_px, centre_px, self.hw)
+        return Camera(self.baseline_m, self.focal_px, centre_px, self.hw)
