@@ -365,11 +365,7 @@ def _card(training: Training, stage: Stage, *, step: int, judgements: Sequence[f
         network=training.network_name,
         window=training.window,
         recipe=training.recipe,
-        training={
-            "stage": stage.name,
-            "step": step,
-            DECISIVE: [judgement for judgement in judgements if not math.isnan(judgement)],
-        },
+        training={"stage": stage.name, "step": step, DECISIVE: list(judgements)},
     )
 
 
