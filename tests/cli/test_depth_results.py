@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from telewide.cli.console import hand_over
+from telewide.cli.console import console_observer, hand_over
 from telewide.cli.depth import depth_as_json, why_not_good
 from telewide.errors import QualityError
 from telewide.stages.capture_depth import DepthOutcome
@@ -33,13 +33,15 @@ def test_results_are_good_as_long_as_one_capture_has_what_its_rig_promises() -> 
 def test_json_says_what_the_exit_code_means(capsys: pytest.CaptureFixture[str]) -> None:
     done = run_of("no metres")
     failure = why_not_good(done)
+    with console_observer(is_quiet=True) as observer:
+        plain, whole = depth_as_json(done, observer), depth_as_json(run_of(None), observer)
     with pytest.raises(QualityError):
-        hand_over(depth_as_json(done), failure=failure, as_json=False)
+        hand_over(plain, failure=failure, as_json=False)
     with pytest.raises(typer.Exit) as left:
-        hand_over(depth_as_json(done), failure=failure, as_json=True)
+        hand_over(plain, failure=failure, as_json=True)
     assert left.value.exit_code == 4
     told = json.loads(capsys.readouterr().out)
     assert told["exit_code"] == 4
     assert told["captures"][0]["withheld"] == "no metres"
-    hand_over(depth_as_json(run_of(None)), failure=None, as_json=True)
+    hand_over(whole, failure=None, as_json=True)
     assert "exit_code" not in json.loads(capsys.readouterr().out)

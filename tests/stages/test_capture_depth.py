@@ -386,13 +386,20 @@ def test_lenses_that_stand_the_other_way_round_are_spoken_of(
 ) -> None:
     """All disparities are negative: near and far are exchanged, and no metre is in front of the cameras."""
 
-    def mirrored(ref: FloatMap, src: FloatMap) -> DisparityMap:
-        seen = stepped(ref, src)
+    def mirrored(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+        seen = stepped(ref, src, window=window)
         return dataclasses.replace(seen, disparity_px=-seen.disparity_px)
 
     held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
     outcome = depth_of_capture(
-        capture, held_out, tmp_path / "a", facts=facts, match=mirrored, bokeh=None, key={"mirrored": True}
+        capture,
+        held_out,
+        tmp_path / "a",
+        facts=facts,
+        match=mirrored,
+        window=WINDOW,
+        bokeh=None,
+        key={"mirrored": True},
     )
     assert isinstance(outcome, DepthOutcome)
     assert any("rotated_deg: 180" in note for note in outcome.notes)
@@ -400,7 +407,14 @@ def test_lenses_that_stand_the_other_way_round_are_spoken_of(
     with np.load(tmp_path / "a" / "depth.npz") as arrays:
         assert "depth_m" not in arrays
     right = depth_of_capture(
-        capture, held_out, tmp_path / "b", facts=facts, match=stepped, bokeh=None, key={"mirrored": False}
+        capture,
+        held_out,
+        tmp_path / "b",
+        facts=facts,
+        match=stepped,
+        window=WINDOW,
+        bokeh=None,
+        key={"mirrored": False},
     )
     assert isinstance(right, DepthOutcome)
     assert not any("rotated_deg" in note for note in right.notes)
