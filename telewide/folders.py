@@ -99,7 +99,7 @@ def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
     Raises:
         UsageError: the folder cannot be made.
     """
-    is_new = not folder.exists()
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
@@ -110,9 +110,9 @@ def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)  # ends the lock, as the end of the process does
-        if is_new:
-            with suppress(OSError):
-                folder.rmdir()  # nothing was written
+        with suppress(OSError):
+            for place in made:
+                place.rmdir()  # only where nothing was written
 
 
 def _lock(descriptor: int, folder: Path, waiting: Callable[[str], None]) -> None:

@@ -63,7 +63,7 @@ def begun(
     rig: Path | None,
     only: Sequence[str] = (),
 ) -> Iterator[Call]:
-    """Find captures, run folder and rig, wait until nobody else works there, and join the processes.
+    """Find captures, run folder and rig, and join the processes.
 
     Args:
         captures_root: folder of the captures.
@@ -87,10 +87,7 @@ def begun(
     refuse_without_rig(captures, rig=found_rig)
     for place in (folder.pairs, folder.train, folder.depth):
         refuse_links(folder.root, place)
-    with joined_processes(device) as processes, ExitStack() as held:
-        if processes.is_writer:
-            held.enter_context(alone_in(folder.root, waiting=observer.said))
-        processes.wait()
+    with joined_processes(device) as processes:
         by_program = Invocation("train", (captures_root,), {"out": run, "rig": rig})
         yield Call(
             captures=captures,
@@ -123,6 +120,23 @@ def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:
     chosen = tuple(capture for capture in captures.captures if capture.name in only)
     problems = tuple(problem for problem in captures.problems if problem.name in only)
     return replace(captures, captures=chosen, problems=problems)
+
+
+@contextmanager
+def alone(call: Call, place: Path) -> Iterator[None]:
+    """Write into a place of the run folder while no other call does; wait for one that does.
+
+    A place and not the whole folder: depth takes the newest weights while training goes on.
+
+    Args:
+        call: whose processes write there.
+        place: a folder of the run folder, or that of the results.
+    """
+    with ExitStack() as held:
+        if call.processes.is_writer:
+            held.enter_context(alone_in(place, waiting=call.observer.said))
+        call.processes.wait()
+        yield
 
 
 def record(

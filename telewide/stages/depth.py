@@ -22,7 +22,7 @@ from telewide.matching.window import Window, joined_window
 from telewide.options import parse_options
 from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
 from telewide.stages.align import shot_precision
-from telewide.stages.call import Call, record
+from telewide.stages.call import Call, alone, record
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
 from telewide.stages.observer import Observer
 from telewide.stages.pairs import PreparedPair, PreparedSet
@@ -197,10 +197,11 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
     window = _searched(call, prepared, matcher)
     call.observer.matching(len(prepared.pairs), method=options.method)
     mine: list[DepthOutcome | DepthFailure] = []
-    for item in processes.share(prepared.pairs):
-        mine.append(_depth_of(item, call, prepared, matcher=matcher, window=window, options=options))
-        _tell(call.observer, mine[-1])
-    results = processes.gathered(tuple(mine))
+    with alone(call, options.out or call.folder.depth):
+        for item in processes.share(prepared.pairs):
+            mine.append(_depth_of(item, call, prepared, matcher=matcher, window=window, options=options))
+            _tell(call.observer, mine[-1])
+        results = processes.gathered(tuple(mine))
     for index, result in enumerate(results):
         if processes.is_writer and index % processes.world != processes.rank:
             _tell(call.observer, result)

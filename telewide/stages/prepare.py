@@ -53,7 +53,7 @@ from telewide.stages.align import (
     plain_rig,
     read_shot_facts,
 )
-from telewide.stages.call import Call
+from telewide.stages.call import Call, alone
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import RunFolder
@@ -103,15 +103,16 @@ def prepare(call: Call) -> PreparedSet:
         shown = command_line("show", call.rig_file or RIG_FILE)
         call.observer.warned(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
     call.observer.preparing(captures)
-    if call.processes.world == 1:
-        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
-    else:
-        mine = replace(captures, captures=call.processes.share(captures.captures))
-        # An empty share, or none of it fit for use, which is said of all together.
-        with suppress(InputError, QualityError):
-            prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
-        call.processes.wait()
-        prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
+    with alone(call, call.folder.pairs):
+        if call.processes.world == 1:
+            prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
+        else:
+            mine = replace(captures, captures=call.processes.share(captures.captures))
+            # An empty share, or none of it fit for use, which is said of all together.
+            with suppress(InputError, QualityError):
+                prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
+            call.processes.wait()
+            prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
     call.observer.set_prepared(prepared)
     return prepared
 

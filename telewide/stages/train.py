@@ -35,7 +35,7 @@ from telewide.matching.window import Window, check_stated_window
 from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
 from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe, differing_keys
-from telewide.stages.call import Call
+from telewide.stages.call import Call, alone
 from telewide.stages.call import record as record_call
 from telewide.stages.labels import write_labels
 from telewide.stages.pairs import PreparedSet
@@ -132,7 +132,8 @@ def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
     prepared_s = time.monotonic()
-    outcome = _train(call, prepared, fresh=fresh, device=choose_device(call.device))
+    with alone(call, call.folder.train):
+        outcome = _train(call, prepared, fresh=fresh, device=choose_device(call.device))
     timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
     asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}
     record_call(call, prepared, command="train", options=asked, timings=timings)
