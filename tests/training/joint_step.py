@@ -45,12 +45,10 @@ class _InFloat64(torch.nn.Module):
         return self.inner(image.double())
 
 
-def _precise_psmnet() -> StereoNetwork:
+def precise_psmnet() -> StereoNetwork:
+    """Build what `PRECISE` names; whoever trains it enters it into ``NETWORKS``."""
     network = NETWORKS["psmnet-s"]()
     return StereoNetwork(_InFloat64(network.features), network.matching).double()
-
-
-NETWORKS[PRECISE] = _precise_psmnet
 
 
 def joint_gradients(source: SampleSource, processes: Processes, *, name: str = "lite") -> dict[str, torch.Tensor]:
@@ -127,4 +125,5 @@ def main(out: Path, pairs: Path) -> None:
 
 
 if __name__ == "__main__":
+    NETWORKS[PRECISE] = precise_psmnet
     main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from training.joint_step import PRECISE, joint_gradients, short_training, stopped_training
+from training.joint_step import PRECISE, joint_gradients, precise_psmnet, short_training, stopped_training
 from training.small import WINDOW, rendered, source_of, write_pairs
 
 from telewide.capture.images import write_pfm
 from telewide.files import fingerprint
+from telewide.matching.networks import NETWORKS
 from telewide.simulate.captures import write_captures
 from telewide.training.processes import Processes, joined_processes
 from telewide.training.samples import SampleSource, labels_path
@@ -28,6 +29,11 @@ def torchrun(*words: str, cwd: Path, repo: Path, processes: int = 2) -> subproce
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}", *words]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{repo}{os.pathsep}{repo / 'tests'}"}
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False, timeout=900)
+
+
+@pytest.fixture(autouse=True)
+def _precise_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(NETWORKS, PRECISE, precise_psmnet)
 
 
 @pytest.fixture(scope="module")
