@@ -12,11 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.geometry.arrays import FloatArray
 from telewide.simulate.raycast.hits import Kind
 from telewide.simulate.raycast.palette import Palette
+from telewide.simulate.raycast.turns import any_turn, rotation, turn_with_z, unit, upright
 from telewide.simulate.raycast.world import Light, Material, Solid, World
 
 PLAIN_SHARE = 0.22
@@ -88,7 +88,7 @@ def draw_world(
     solids += [_single(draft) for _ in range(int(rng.integers(4, 26)))]
     for _ in range(int(rng.choice([0, 0, 1, 1, 2]))):
         solids += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
-    light = Light(_unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
+    light = Light(unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth_m=1.0), gloss=0.0, macro_contrast=0.3)
     return World(
         hw=hw,
@@ -168,7 +168,7 @@ def _wall(draft: _Draft) -> Solid:
     steepest = min(0.8, 0.6 * (draft.nearness - 1) + 0.05)
     slope = rng.uniform(-steepest, steepest, 2) * (rng.random(2) < 0.6)
     normal = np.array([slope[0] * draft.focal_px / width, slope[1] * draft.focal_px / height, 1.0])
-    turn = _turn_with_z(_unit(normal))
+    turn = turn_with_z(unit(normal))
     waves = _waves(draft, extent=1.0, depth_m=1.0) if rng.random() < 0.3 else None
     return Solid(
         kind=Kind.PLANE,
@@ -201,8 +201,8 @@ def _ground(draft: _Draft) -> tuple[_Draft, Solid]:
     """A level plane whose nearest visible part reaches the nearest depth of the world."""
     below = max(0.15 * draft.hw[0], draft.hw[0] - draft.centre_px[1])
     ground_y = below / draft.focal_px / (draft.nearness * draft.rng.uniform(0.5, 1.0))
-    tilt = _rotation(np.array([0.0, 0.0, 1.0]), draft.rng.normal(0, 0.04))
-    turn = tilt @ _turn_with_z(np.array([0.0, 1.0, 0.0]))
+    tilt = rotation(np.array([0.0, 0.0, 1.0]), draft.rng.normal(0, 0.04))
+    turn = tilt @ turn_with_z(np.array([0.0, 1.0, 0.0]))
     waves = _waves(draft, extent=1.0, depth_m=0.5) if draft.rng.random() < 0.2 else None
     ground = Solid(
         kind=Kind.PLANE,
@@ -230,7 +230,7 @@ def _in_room(draft: _Draft) -> tuple[_Draft, list[Solid]]:
     rng, (height, width) = draft.rng, draft.hw
     half_x = 0.5 * width / draft.focal_px * rng.uniform(0.5, 1.3)
     half_y = 0.5 * height / draft.focal_px * rng.uniform(0.5, 1.3)
-    turn = _rotation(np.array([0.0, 1.0, 0.0]), rng.normal(0, 0.25)) @ _rotation(
+    turn = rotation(np.array([0.0, 1.0, 0.0]), rng.normal(0, 0.25)) @ rotation(
         np.array([1.0, 0, 0]), rng.normal(0, 0.08)
     )
     # Only the far wall and what of the others lies before the nearest depth: the camera stands outside the other end.
@@ -281,7 +281,7 @@ def _body(draft: _Draft, kind: Kind) -> Solid:
     centre, per_px = _place(draft, radius_px=radius_px)
     half_size = radius_px * per_px * np.exp(rng.normal(0, 0.35, 3))
     half_size = np.minimum(half_size, 0.45 * centre[2])
-    turn = _upright(rng) if rng.random() < 0.5 else _any_turn(rng)
+    turn = upright(rng) if rng.random() < 0.5 else any_turn(rng)
     centre = _standing(draft, centre, float(half_size[1]))
     return Solid(
         kind=kind,
@@ -303,7 +303,7 @@ def _box(draft: _Draft) -> Solid:
 
 def _cone(draft: _Draft) -> Solid:
     cone = _body(draft, Kind.CONE)
-    up = cone.turn @ _turn_with_z(np.array([0.0, 1.0, 0.0]))
+    up = cone.turn @ turn_with_z(np.array([0.0, 1.0, 0.0]))
     return replace(cone, turn=up)
 
 
@@ -313,14 +313,14 @@ def _rod(draft: _Draft) -> Solid:
     radius_px = math.exp(rng.uniform(math.log(0.5), math.log(5.0)))
     length_px = rng.uniform(0.1, 0.9) * draft.hw[1]
     centre, per_px = _place(draft, radius_px=radius_px)
-    way = _unit(rng.normal(0, 1, 3) * [1.0, 1.0, 0.35])
+    way = unit(rng.normal(0, 1, 3) * [1.0, 1.0, 0.35])
     if rng.random() < 0.5:
         way = np.eye(3)[int(rng.random() < 0.7)]
     half = np.array([radius_px * per_px, radius_px * per_px, 0.5 * length_px * per_px])
     half[2] = min(half[2], 0.45 * centre[2] / max(1e-3, abs(way[2])))
     return Solid(
         kind=Kind.CONE,
-        turn=_turn_with_z(way),
+        turn=turn_with_z(way),
         centre=centre,
         half_size=half,
         material=_worn(draft, depth_m=centre[2]),
@@ -332,8 +332,8 @@ def _sheet(draft: _Draft) -> Solid:
     """A flat or wavy outline, mostly facing the cameras."""
     rng, radius_px = draft.rng, 1.3 * _size_px(draft)
     centre, per_px = _place(draft, radius_px=radius_px)
-    turn = _upright(rng) if rng.random() < 0.4 else _turn_with_z(_unit(np.array([*rng.normal(0, 0.5, 2), 1.0])))
-    turn = turn @ _rotation(np.array([0.0, 0.0, 1.0]), rng.uniform(0, 2 * math.pi) * (rng.random() < 0.7))
+    turn = upright(rng) if rng.random() < 0.4 else turn_with_z(unit(np.array([*rng.normal(0, 0.5, 2), 1.0])))
+    turn = turn @ rotation(np.array([0.0, 0.0, 1.0]), rng.uniform(0, 2 * math.pi) * (rng.random() < 0.7))
     half_size = np.array([radius_px, radius_px * math.exp(rng.normal(0, 0.4)), radius_px]) * per_px
     outline = None if rng.random() < 0.1 else int(rng.integers(draft.palette.n_outlines))
     waves = None
@@ -362,7 +362,7 @@ def _row(draft: _Draft) -> list[Solid]:
     rng, first = draft.rng, _single(draft)
     count = int(rng.integers(3, 10))
     step_px = max(2.5 * float(first.half_size[0]) / first.centre[2] * draft.focal_px, rng.uniform(6, 40))
-    way = _unit(rng.normal(0, 1, 3) * [1.0, 0.4, 0.8]) * step_px * first.centre[2] / draft.focal_px
+    way = unit(rng.normal(0, 1, 3) * [1.0, 0.4, 0.8]) * step_px * first.centre[2] / draft.focal_px
     return [replace(first, centre=first.centre + (i - count / 2) * way) for i in range(count)]
 
 
@@ -372,7 +372,7 @@ def _chair(draft: _Draft) -> list[Solid]:
     side_px = rng.uniform(20, 0.3 * draft.hw[1])
     centre, per_px = _place(draft, radius_px=side_px)
     side, leg = side_px * per_px, rng.uniform(0.6, 3.5) * per_px
-    turn, material = _upright(rng), _worn(draft, depth_m=centre[2])
+    turn, material = upright(rng), _worn(draft, depth_m=centre[2])
     down = rng.uniform(0.6, 1.4) * side
 
     def part(kind: Kind, at: tuple[float, float, float], half: tuple[float, float, float]) -> Solid:
@@ -401,16 +401,16 @@ def _plant(draft: _Draft) -> list[Solid]:
         at = centre + rng.normal(0, 0.5, 3) * radius
         half = rng.uniform(0.12, 0.45) * radius * np.array([1.0, rng.uniform(0.5, 1.0), 1.0])
         solids.append(
-            Solid(kind=Kind.SHEET, turn=_any_turn(rng), centre=at, half_size=half, material=material, outline=outline)
+            Solid(kind=Kind.SHEET, turn=any_turn(rng), centre=at, half_size=half, material=material, outline=outline)
         )
     for _ in range(int(rng.integers(1, 5))):
         tip = rng.normal(0, 0.6, 3) * radius
-        way, length = _unit(tip), float(np.linalg.norm(tip)) / 2
+        way, length = unit(tip), float(np.linalg.norm(tip)) / 2
         stem = np.array([rng.uniform(0.5, 2.5) * per_px] * 2 + [length])
         solids.append(
             Solid(
                 kind=Kind.CONE,
-                turn=_turn_with_z(way),
+                turn=turn_with_z(way),
                 centre=centre + tip / 2,
                 half_size=stem,
                 material=material,
@@ -421,32 +421,3 @@ def _plant(draft: _Draft) -> list[Solid]:
 
 
 _GROUPS: tuple[Callable[[_Draft], list[Solid]], ...] = (_row, _row, _chair, _plant)
-
-
-# Directions
-
-
-def _unit(v: NDArray[np.float64]) -> FloatArray:
-    return np.asarray(v / max(1e-9, float(np.linalg.norm(v))), np.float64)
-
-
-def _rotation(axis: FloatArray, angle_rad: float) -> FloatArray:
-    """Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn = np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross
-    return np.asarray(turn, np.float64)
-
-
-def _turn_with_z(way: FloatArray) -> FloatArray:
-    """A rotation whose third column is ``way``."""
-    side = _unit(np.cross([0.0, 1.0, 0.0] if abs(way[1]) < 0.9 else [1.0, 0.0, 0.0], way))
-    return np.stack([side, np.cross(way, side), way], axis=1)
-
-
-def _upright(rng: np.random.Generator) -> FloatArray:
-    return _rotation(np.array([0.0, 1.0, 0.0]), rng.uniform(-1.2, 1.2))
-
-
-def _any_turn(rng: np.random.Generator) -> FloatArray:
-    return _rotation(_unit(rng.normal(0, 1, 3)), rng.uniform(0, math.pi))
