@@ -5,10 +5,12 @@ Letters: B batch, C channels, H W image.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -27,6 +29,7 @@ from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
 MAX_TILE_PIXELS = 2_500_000
+LEAST_BF16_GAIN = 1.2
 AGREEMENT_PX = 3.0
 """Difference of the two views' disparities at which agreement has fallen to nothing."""
 _may_use_bf16: ContextVar[bool] = ContextVar("may_use_bf16", default=True)
@@ -59,12 +62,34 @@ def low_precision(device: torch.device) -> AbstractContextManager[object]:
     return torch.autocast(device.type, dtype=torch.bfloat16, enabled=_may_use_bf16.get() and has_fast_bf16(device))
 
 
+@lru_cache
 def has_fast_bf16(device: torch.device) -> bool:
-    """Whether convolutions in bf16 are faster than in float32 on this device."""
+    """Whether convolutions in bf16 are faster than in float32 on this device.
+
+    Processors with AVX-512 bf16 and without AMX differ by a factor of four: some take twice the time of float32. They
+    are asked to convolve, once a process; what a machine gains or loses lies far from the limit.
+    """
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported())
     capability = torch.cpu.get_capabilities() if hasattr(torch.cpu, "get_capabilities") else {}
-    return bool(capability.get("avx512_bf16") or capability.get("amx_bf16") or capability.get("arm_bf16"))
+    if capability.get("amx_bf16"):
+        return True
+    if not (capability.get("avx512_bf16") or capability.get("arm_bf16")):
+        return False
+    return _seconds_to_convolve(torch.bfloat16) * LEAST_BF16_GAIN < _seconds_to_convolve(torch.float32)
+
+
+@torch.inference_mode()
+def _seconds_to_convolve(dtype: torch.dtype) -> float:
+    """The least of some trials with a layer as the networks have them; the first warms up."""
+    x, weight = (torch.ones(shape, dtype=dtype) for shape in ((1, 48, 96, 96), (48, 48, 3, 3)))
+    x, weight = (tensor.contiguous(memory_format=torch.channels_last) for tensor in (x, weight))
+    seconds = []
+    for _ in range(6):
+        begun_s = time.perf_counter()
+        functional.conv2d(x, weight, padding=1)
+        seconds.append(time.perf_counter() - begun_s)
+    return min(seconds[1:])
 
 
 def match_with_network(
