@@ -20,6 +20,7 @@ DOCUMENTS = ("*.md", "docs/*.md", "pipelines/*.yaml", "Makefile")
 SHARED_BY = {
     # The messages of a stage are read by whoever runs it: the options they name have to be there in every command.
     "stages/train.py": ("train", "run"),
+    "stages/training_record.py": ("train", "run"),
     "training": ("train", "run"),
     "stages/call.py": ("train", "depth", "run"),
     "stages/run_folder.py": ("train", "depth", "run"),

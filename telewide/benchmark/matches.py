@@ -26,6 +26,7 @@ from telewide.stages.pairs import PreparedPair
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
+from telewide.stages.training_record import read_record
 
 UNCORRECTED = "uncorrected"
 ALL, HELD_OUT = "all", "held out"
@@ -124,8 +125,6 @@ def matches_table(report: BenchmarkReport) -> str:
 
 def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
     """Captures that none of the trainings has seen."""
-    from telewide.stages.train import read_record
-
     records = [record for record in map(read_record, runs) if record is not None]
     if not records or len(records) < len(runs):
         return frozenset()

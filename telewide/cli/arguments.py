@@ -23,6 +23,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but problems.")]
 CapturesArgument = Annotated[Path, typer.Argument(help="Folder of the captures.")]
 RecipeOption = Annotated[str, typer.Option(help="Recipe: quick, default, paper, or a YAML file.")]
+RunFolderOption = Annotated[
+    Path | None, typer.Option("--out", help="Run folder. [default: run/ here, else beside the captures]")
+]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the recipe; may be repeated.")
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -17,6 +16,7 @@ from telewide.cli.arguments import (
     QuietOption,
     RecipeOption,
     RigOption,
+    RunFolderOption,
     SeedOption,
     SetOption,
     StrengthOption,
@@ -32,9 +32,7 @@ def run_everything(
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Run folder. [default: run/ here, else beside the captures]")
-    ] = None,
+    out: RunFolderOption = None,
     settings: SetOption = None,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,

@@ -14,6 +14,7 @@ from telewide.cli.arguments import (
     QuietOption,
     RecipeOption,
     RigOption,
+    RunFolderOption,
     SeedOption,
     SetOption,
 )
@@ -27,9 +28,7 @@ def train(
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Run folder. [default: run/ here, else beside the captures]")
-    ] = None,
+    out: RunFolderOption = None,
     settings: SetOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
     rig: RigOption = None,

@@ -17,21 +17,9 @@ from telewide.pages.contact import ContactRow
 from telewide.recipe import Recipe
 from telewide.stages.observer import Observer
 from telewide.stages.run_folder import RunFolder
-from telewide.stages.train import (
-    SHEET_ROWS,
-    LoggedReporter,
-    TrainingRecord,
-    TrainOutcome,
-    drop_log_after,
-    forget,
-    outcome_of,
-    planned,
-    read_record,
-    refuse_another_recipe,
-    state_for,
-    workers_for,
-    write_record,
-)
+from telewide.stages.train import SHEET_ROWS, TrainOutcome, forget, outcome_of, planned, state_for, workers_for
+from telewide.stages.training_log import LoggedReporter, drop_log_after
+from telewide.stages.training_record import TrainingRecord, read_record, refuse_another_recipe, write_record
 from telewide.training.checkpoint import TrainingState
 from telewide.training.judge import world_judge
 from telewide.training.loop import Training

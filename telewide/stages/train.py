@@ -1,46 +1,40 @@
 """One training in one run folder: begin, continue, finish, or refuse.
 
-train/training.json      resolved recipe, window, captures, and which of them are held out
-train/log.jsonl          a line for every judgement and every few steps
-train/<stage>.png        contact sheet of each finished stage
+train/training.json                   see `stages.training_record`
+train/log.jsonl, <stage>.png          see `stages.training_log`
 train/state.pt, weights.safetensors, <stage>.safetensors      see `training.checkpoint`
 """
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
 
-import numpy as np
 import torch
 
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint, read_json, write_text
-from telewide.folders import append_line
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
-from telewide.matching.window import Window, check_stated_window
-from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
+from telewide.pages.contact import ContactRow
 from telewide.points.held_out import HeldOut
-from telewide.recipe import Recipe, differing_keys
+from telewide.recipe import Recipe
 from telewide.stages.call import Call, alone
 from telewide.stages.call import record as record_call
 from telewide.stages.labels import write_labels
 from telewide.stages.pairs import PreparedSet
-from telewide.stages.prepare import RECORD_NAME
 from telewide.stages.run_folder import RunFolder
+from telewide.stages.training_log import LoggedReporter, drop_log_after
+from telewide.stages.training_record import TrainingRecord, agreed_record, read_record, write_record
 from telewide.text import counted
 from telewide.training.checkpoint import (
     STATE_NAME,
@@ -52,22 +46,15 @@ from telewide.training.checkpoint import (
     save_state,
 )
 from telewide.training.judge import network_judge
-from telewide.training.log import read_log
 from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
-from telewide.training.reporter import Reporter
 from telewide.training.samples import CropArea, SampleSource, fitting_crop
 from telewide.training.stages import Stage, plan_stages
 
-FORMAT = 1
 _OWN_FILES = re.compile(
     r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|space|feature-\d+)\.(png|safetensors)"
 )
-LOG_EVERY_STEPS = 10
-FEWEST_TO_HOLD_OUT = 5
-"""With fewer captures a strip of each is held out instead of whole ones."""
-MOST_HELD_OUT = 8
 USUAL_ASYMMETRY = (1.0, 6.0)
 """Where neither the recipe nor the pairs say how much coarser wide is."""
 SHEET_ROWS = 6
@@ -88,32 +75,6 @@ class TrainOutcome:
     is_new: bool
     stages: Mapping[str, float]
     best_stage: str
-
-
-@dataclass(frozen=True)
-class TrainingRecord:
-    """Record of what a training was begun with; the file ``training.json``.
-
-    Attributes:
-        recipe: resolved recipe as plain data.
-        window: disparities of the volume, px.
-        captures: names of the captures it has seen or judged by.
-        held_out: names of those kept for judging; empty where strips are.
-        judged: names of those it is judged by: the held-out ones, or a strip of each that there was at first.
-        pairs_sha256: of what each corrected pair was made from, by name; empty where an older version wrote none.
-    """
-
-    recipe: Mapping[str, object]
-    window: Window
-    captures: tuple[str, ...]
-    held_out: tuple[str, ...]
-    judged: tuple[str, ...]
-    pairs_sha256: Mapping[str, str] = field(default_factory=dict)
-
-    def changed_in(self, other: TrainingRecord) -> tuple[str, ...]:
-        """Captures of both whose photos, rig or correction are no longer the same."""
-        both = self.pairs_sha256.keys() & other.pairs_sha256.keys()
-        return tuple(sorted(name for name in both if self.pairs_sha256[name] != other.pairs_sha256[name]))
 
 
 def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
@@ -186,7 +147,7 @@ def _take_up(
     run, anew = call.folder, call.invocation.instead("train", fresh=True)
     with _damage_told(anew):
         kept = read_record(run)
-    record = _agreed_record(kept, prepared, call.recipe, anew=anew)
+    record = agreed_record(kept, prepared, call.recipe, anew=anew)
     with _damage_told(anew):
         state = state_for(run, call.recipe, device)
     if kept is not None and state.step + state.stage_index > 0:
@@ -230,112 +191,6 @@ def _where_it_stands(
         if names
     ]
     return "; ".join([*told, f"{resuming} on {'the larger set' if grown else 'them'}"]) if told else resuming
-
-
-def read_record(run: RunFolder) -> TrainingRecord | None:
-    """The record of the training in a run folder, or None where there is none.
-
-    Raises:
-        InputError: the file is damaged.
-    """
-    path = run.training_record
-    if not path.exists():
-        return None
-    try:
-        content = cast(dict[str, Any], read_json(path))
-        first, end = content["window"]
-        check_stated_window((first, end))
-        captures, held_out = _names(content["captures"]), _names(content["held_out"])
-        judged = _names(content.get("judged", held_out or captures))
-        prints = {str(name): str(value) for name, value in content.get("pairs_sha256", {}).items()}
-        return TrainingRecord(
-            recipe={**content["recipe"]},
-            window=(first, end),
-            captures=captures,
-            held_out=held_out,
-            judged=judged,
-            pairs_sha256=prints,
-        )
-    except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path} is damaged") from error
-
-
-def _names(plain: Sequence[object]) -> tuple[str, ...]:
-    if not all(isinstance(name, str) for name in plain):
-        raise TypeError("names are texts")
-    return tuple(map(str, plain))
-
-
-def _agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe, *, anew: str) -> TrainingRecord:
-    """The record to go on with: the kept one with what is new, or refuse where the recipe has changed.
-
-    Args:
-        kept: of the training that lies there.
-        prepared: the pairs.
-        recipe: the resolved recipe.
-        anew: the command that starts over, to be advised.
-    """
-    names = tuple(item.capture.name for item in prepared.pairs)
-    resolved = recipe.model_dump(mode="json")
-    prints = {item.capture.name: fingerprint(item.capture.tele_path.with_name(RECORD_NAME)) for item in prepared.pairs}
-    if kept is None:
-        held_out = _choose_held_out(names, recipe)
-        return TrainingRecord(
-            recipe=resolved,
-            window=prepared.window_with(None),
-            captures=names,
-            held_out=held_out,
-            judged=held_out or names,
-            pairs_sha256=prints,
-        )
-    refuse_another_recipe(kept, resolved, anew=anew)
-    # Held-out captures stay: the judge must not change under a network.
-    held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
-    if not judged:
-        raise UsageError(
-            f"the captures that this training is judged by are no longer there: {', '.join(kept.judged)}",
-            hint=f"put them back, or start over: {anew}",
-        )
-    if len(held_out) == len(names):
-        raise UsageError(
-            f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
-            hint=f"add captures, or start over: {anew}",
-        )
-    return TrainingRecord(
-        recipe=resolved,
-        window=prepared.window_with(kept.window),
-        captures=names,
-        held_out=held_out,
-        judged=judged,
-        pairs_sha256=prints,
-    )
-
-
-def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object], *, anew: str) -> None:
-    """Refuse to go on with a training by another recipe than it was begun with.
-
-    Args:
-        kept: of the training that lies there.
-        resolved: the recipe of now, as plain data.
-        anew: how to start over.
-
-    Raises:
-        UsageError: naming the keys that differ.
-    """
-    changed = differing_keys(kept.recipe, resolved)
-    if changed:
-        raise UsageError(
-            f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
-            hint=f"continue with the same recipe, name another run folder with --out, or start over: {anew}",
-        )
-
-
-def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
-    if len(names) < FEWEST_TO_HOLD_OUT:
-        return ()
-    count = min(MOST_HELD_OUT, max(1, round(recipe.train.held_out_share * len(names))))
-    chosen = np.random.default_rng(recipe.seed).choice(len(names), size=count, replace=False)
-    return tuple(names[index] for index in sorted(chosen))
 
 
 def state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingState:
@@ -440,84 +295,6 @@ def forget(run: RunFolder) -> None:
         for path in sorted(run.train.iterdir(), key=lambda path: path.name == run.training_record.name):
             if _OWN_FILES.fullmatch(path.name) and not path.is_dir():
                 path.unlink()
-
-
-def write_record(run: RunFolder, record: TrainingRecord) -> None:
-    """Write ``training.json``."""
-    content = {
-        "format": FORMAT,
-        "recipe": record.recipe,
-        "window": list(record.window),
-        "captures": list(record.captures),
-        "held_out": list(record.held_out),
-        "judged": list(record.judged),
-        "pairs_sha256": dict(record.pairs_sha256),
-    }
-    write_text(run.training_record, json.dumps(content, indent=2) + "\n")
-
-
-def drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
-    """Forget the lines of steps that a resumed training takes again."""
-    if path.is_file():
-        kept = [line.text for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
-        write_text(path, "".join(f"{line}\n" for line in kept))
-
-
-@dataclass
-class LoggedReporter:
-    """Passes everything on, and keeps the log and the contact sheets."""
-
-    inner: Reporter
-    run: RunFolder
-    rows: Callable[[StereoNetwork], list[ContactRow]]
-    is_writer: bool
-    _sums: dict[str, float] = field(default_factory=dict)
-    _n_summed: int = 0
-
-    def stage_started(self, stage: Stage, *, first_step: int) -> None:
-        """Begin a mean of the losses."""
-        self._forget_sums()
-        self.inner.stage_started(stage, first_step=first_step)
-
-    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
-        """Log the mean of some steps."""
-        for name, value in losses.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value
-        self._n_summed += 1
-        if step % LOG_EVERY_STEPS == 0:
-            # Fewer steps than usual after a resumption in between.
-            rounded = {name: round(value / self._n_summed, 5) for name, value in self._sums.items()}
-            self._log(stage, step, {"losses": rounded, "seconds": round(seconds, 3)})
-            self._forget_sums()
-        self.inner.step_done(stage, step=step, losses=losses, seconds=seconds)
-
-    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        """Log what the judge says."""
-        finite = {name: value if math.isfinite(value) else None for name, value in judgement.items()}
-        self._log(stage, step, {"judgement": finite})
-        self.inner.judged(stage, step=step, judgement=judgement)
-
-    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
-        """Draw the stage's contact sheet."""
-        if self.is_writer:
-            sheet = contact_sheet(self.rows(network), title=f"{stage.name}")
-            write_sheet(self.run.train / f"{stage.name}.png", sheet)
-        self.inner.stage_finished(stage, network=network, judgement=judgement)
-
-    def said(self, message: str) -> None:
-        """Pass a line on."""
-        self.inner.said(message)
-
-    def _forget_sums(self) -> None:
-        self._sums.clear()
-        self._n_summed = 0
-
-    def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
-        if not self.is_writer:
-            return
-        self.run.train.mkdir(parents=True, exist_ok=True)
-        line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
-        append_line(self.run.training_log, json.dumps(line))
 
 
 def _rows(prepared: PreparedSet, record: TrainingRecord, network: StereoNetwork) -> list[ContactRow]:

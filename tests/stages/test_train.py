@@ -21,6 +21,8 @@ from safetensors.torch import load_file
 from training.small import Heard
 
 import telewide.stages.train
+import telewide.stages.training_log
+import telewide.stages.training_record
 from telewide.capture.images import read_pfm
 from telewide.capture.pair import find_captures
 from telewide.cli import main
@@ -31,7 +33,8 @@ from telewide.simulate.captures import write_captures
 from telewide.stages.depth import DepthOptions
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
-from telewide.stages.train import TrainOutcome, read_record
+from telewide.stages.train import TrainOutcome
+from telewide.stages.training_record import read_record
 from telewide.training import loop
 from telewide.training.checkpoint import TrainingState
 from telewide.training.loop import DECISIVE, Training
@@ -49,8 +52,9 @@ RECIPE: Mapping[str, object] = {
         "feature": {"steps": 2, "captured": 1, "captured_loss": "feature"},
     },
 }
-SETTINGS = "from telewide.training import loop; import telewide.stages.train; loop.CHECKPOINT_EVERY_S = 0.0; "
-SETTINGS += "telewide.stages.train.LOG_EVERY_STEPS = 1; "
+SETTINGS = "import telewide.stages.train, telewide.stages.training_log; from telewide.training import loop; "
+SETTINGS += "loop.CHECKPOINT_EVERY_S = 0.0; "
+SETTINGS += "telewide.stages.training_log.LOG_EVERY_STEPS = 1; "
 NO_WORKERS = "telewide.stages.train.workers_for = lambda device: 0; "
 RUN = "import sys; from telewide.cli import main; main(sys.argv[1:])"
 
@@ -99,7 +103,7 @@ def recipe_path(tmp_path: Path) -> Path:
 def _in_this_process(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Batches are made here, every step is logged, and one thread computes: sums of two are rounded otherwise."""
     monkeypatch.setattr(telewide.stages.train, "workers_for", lambda device: 0)
-    monkeypatch.setattr(telewide.stages.train, "LOG_EVERY_STEPS", 1)
+    monkeypatch.setattr(telewide.stages.training_log, "LOG_EVERY_STEPS", 1)
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -160,7 +164,7 @@ def test_what_is_held_out_is_never_trained_on(
     captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of three captures one is kept for judging: crops come from the two others, and the judge asks that one alone."""
-    monkeypatch.setattr(telewide.stages.train, "FEWEST_TO_HOLD_OUT", 3)
+    monkeypatch.setattr(telewide.stages.training_record, "FEWEST_TO_HOLD_OUT", 3)
     begun: list[Training] = []
     train = telewide.stages.train.run_training
 

@@ -1,0 +1,87 @@
+"""The log of a training in its run folder: ``log.jsonl``, and a contact sheet of each finished stage."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from telewide.files import write_text
+from telewide.folders import append_line
+from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
+from telewide.stages.run_folder import RunFolder
+from telewide.training.log import read_log
+from telewide.training.reporter import Reporter
+from telewide.training.stages import Stage
+
+if TYPE_CHECKING:
+    from telewide.matching.networks import StereoNetwork
+
+LOG_EVERY_STEPS = 10
+
+
+@dataclass
+class LoggedReporter:
+    """Passes everything on, and keeps the log and the contact sheets."""
+
+    inner: Reporter
+    run: RunFolder
+    rows: Callable[[StereoNetwork], list[ContactRow]]
+    is_writer: bool
+    _sums: dict[str, float] = field(default_factory=dict)
+    _n_summed: int = 0
+
+    def stage_started(self, stage: Stage, *, first_step: int) -> None:
+        """Begin a mean of the losses."""
+        self._forget_sums()
+        self.inner.stage_started(stage, first_step=first_step)
+
+    def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
+        """Log the mean of some steps."""
+        for name, value in losses.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+        self._n_summed += 1
+        if step % LOG_EVERY_STEPS == 0:
+            # Fewer steps than usual after a resumption in between.
+            rounded = {name: round(value / self._n_summed, 5) for name, value in self._sums.items()}
+            self._log(stage, step, {"losses": rounded, "seconds": round(seconds, 3)})
+            self._forget_sums()
+        self.inner.step_done(stage, step=step, losses=losses, seconds=seconds)
+
+    def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
+        """Log what the judge says."""
+        finite = {name: value if math.isfinite(value) else None for name, value in judgement.items()}
+        self._log(stage, step, {"judgement": finite})
+        self.inner.judged(stage, step=step, judgement=judgement)
+
+    def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
+        """Draw the stage's contact sheet."""
+        if self.is_writer:
+            sheet = contact_sheet(self.rows(network), title=f"{stage.name}")
+            write_sheet(self.run.train / f"{stage.name}.png", sheet)
+        self.inner.stage_finished(stage, network=network, judgement=judgement)
+
+    def said(self, message: str) -> None:
+        """Pass a line on."""
+        self.inner.said(message)
+
+    def _forget_sums(self) -> None:
+        self._sums.clear()
+        self._n_summed = 0
+
+    def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
+        if not self.is_writer:
+            return
+        self.run.train.mkdir(parents=True, exist_ok=True)
+        line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
+        append_line(self.run.training_log, json.dumps(line))
+
+
+def drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
+    """Forget the lines of steps that a resumed training takes again."""
+    if path.is_file():
+        kept = [line.text for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
+        write_text(path, "".join(f"{line}\n" for line in kept))
