@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 _KNOWN_KEYS_SHOWN = 12
+# What pydantic calls a key it does not know, and one that is no text.
+_UNKNOWN_KEY = {"extra_forbidden", "invalid_key"}
 
 
 class Options(BaseModel):
@@ -54,7 +56,7 @@ def parse_options(cls: type[OptionsT], data: object, *, source: str, error: type
     except ValidationError as caught:
         lines = [_explained(cls, detail) for detail in caught.errors(include_url=False)]
         hint = f"known keys: {_first_few(sorted(_dotted_keys(cls)))}"
-        is_key_unknown = any(detail["type"] == "extra_forbidden" for detail in caught.errors(include_url=False))
+        is_key_unknown = any(detail["type"] in _UNKNOWN_KEY for detail in caught.errors(include_url=False))
         raise error(f"{source}: " + "; ".join(lines), hint=hint if is_key_unknown else None) from None
 
 
@@ -95,7 +97,7 @@ def _set_in(data: dict[str, object], path: Sequence[str], value: object, *, sett
 
 def _explained(cls: type[Options], detail: ErrorDetails) -> str:
     path = ".".join(str(part) for part in detail["loc"]).replace("\n", "\\n")
-    if detail["type"] == "extra_forbidden":
+    if detail["type"] in _UNKNOWN_KEY:
         nearest = _nearest_key(cls, path)
         return f"unknown key {path}" + (f", did you mean {nearest}?" if nearest else "")
     if detail["type"] == "missing":

@@ -246,7 +246,7 @@ def correct_shot(
         The corrected pair with its report, of any verdict.
     """
     matches = find_matches(pair.tele, pair.wide)
-    stated = facts if alignment is None else dataclasses.replace(facts, rectified=True)
+    stated = facts if alignment is None else facts.model_copy(update={"rectified": True})
     report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
     if alignment is not None:
         report = with_doubts(report, alignment.notes)
@@ -325,7 +325,7 @@ def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRi
         "format": FORMAT,
         "tele_sha256": fingerprint(capture.tele_path),
         "wide_sha256": fingerprint(capture.wide_path),
-        "facts": dataclasses.asdict(facts),
+        "facts": facts.model_dump(),
         "rig": None if rig is None else plain_rig(rig.rig),
         "correction": recipe.correction.model_dump(),
         "working_width_px": recipe.working_width_px,

@@ -265,9 +265,8 @@ def test_one_folder_too_high_is_told(tmp_path: Path) -> None:
 def test_bad_facts_stop_the_whole_folder(tmp_path: Path) -> None:
     fill(tmp_path, GOOD)
     (tmp_path / "captures.yaml").write_text("rectifyed: true\n")
-    with pytest.raises(InputError, match="unknown key 'rectifyed'") as caught:
+    with pytest.raises(InputError, match="unknown key rectifyed, did you mean rectified"):
         find_captures(tmp_path)
-    assert "did you mean 'rectified'?" in (caught.value.hint or "")
 
 
 def test_a_real_set(data_root: Path) -> None:

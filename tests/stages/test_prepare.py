@@ -178,9 +178,9 @@ def test_what_was_searched_before_is_searched_again_and_what_new_pairs_need_besi
 def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: Path) -> None:
     found = find_captures(captures)
     for rectified in (True, None):
-        stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=rectified))
+        stated = dataclasses.replace(found, facts=found.facts.model_copy(update={"rectified": rectified}))
         refuse_without_rig(stated, rig=None)
-    stated = dataclasses.replace(found, facts=dataclasses.replace(found.facts, rectified=False))
+    stated = dataclasses.replace(found, facts=found.facts.model_copy(update={"rectified": False}))
     with pytest.raises(InputError, match="states that the captures are not rectified"):
         refuse_without_rig(stated, rig=None)
 
