@@ -31,6 +31,7 @@ from typing import NoReturn, TypeVar
 import yaml
 
 from telewide.errors import InputError, MissingPartError, TelewideError, UsageError
+from telewide.ranges import MAX_FILE_BYTES
 
 Content = TypeVar("Content")
 
@@ -86,7 +87,8 @@ def open_regular(path: Path) -> io.BufferedReader:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is a folder, a pipe, a socket or a device, or it cannot be opened.
+        InputError: it is a folder, a pipe, a socket or a device, is larger than any file that is read (one with holes
+            takes no space), or cannot be opened.
     """
     try:
         stream = io.FileIO(path, opener=_open_without_waiting)
@@ -96,10 +98,33 @@ def open_regular(path: Path) -> io.BufferedReader:
         raise InputError(f"{path} is a folder; a file was expected") from error
     except (OSError, ValueError) as error:  # ValueError: a name with a null character
         raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+    found = os.fstat(stream.fileno())
+    problem = _why_not_read(found)
+    if problem is not None:
         stream.close()
-        raise InputError(f"{path} is a pipe, a socket or a device; a file was expected")
+        raise InputError(f"{path} {problem}")
     return io.BufferedReader(stream)
+
+
+def refuse_strange_file(path: Path) -> None:
+    """Refuse what `open_regular` refuses, before a library opens it by its name.
+
+    Args:
+        path: the file.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is no regular file, is too large, or cannot be opened.
+    """
+    open_regular(path).close()
+
+
+def _why_not_read(found: os.stat_result) -> str | None:
+    if not stat.S_ISREG(found.st_mode):
+        return "is a pipe, a socket or a device; a file was expected"
+    if found.st_size > MAX_FILE_BYTES:
+        return f"has {found.st_size} bytes; files of up to {MAX_FILE_BYTES >> 30} GiB are read"
+    return None
 
 
 def _open_without_waiting(path: str, flags: int) -> int:

@@ -9,6 +9,10 @@ MAX_PIXELS = 1 << 28
 """Of a photo, 268 megapixels; phones have up to 200."""
 MAX_SIDE_PX = 1 << 16
 """Of a photo."""
+MAX_FILE_BYTES = 1 << 31
+"""Of any file that is read: such a photo with three channels of 16 bits and no compression has 1.6e9."""
+MAX_SCANS = 64
+"""Of a progressive JPEG; encoders make 10 to 20, and each costs a walk over all its pixels."""
 MAX_FOCAL_SIDES = 64
 """Focal length in longer sides of the photo: of some 2300 mm on 36 x 24 mm."""
 MAX_CENTRE_SIDES = 16
@@ -24,3 +28,7 @@ MAX_DISPARITY_PX, MAX_SPAN_PX = 8192, 4096
 MAX_CANVAS = 16
 """Pixels of a rectified view in those of the tele photo."""
 MAX_SEED = (1 << 32) - 1
+MAX_STEPS, MAX_STAGES = 10**9, 100
+"""Of a training."""
+MAX_CROP_PX, MAX_STEP_PIXELS = 4096, 1 << 24
+"""Of a crop's side, and of all crops of a step: 64 of 512 x 512."""

@@ -26,6 +26,7 @@ from telewide.assets import find_yaml
 from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
 from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES, READ_KINDS, UNREAD_SUFFIXES
 from telewide.errors import InputError, UsageError
+from telewide.ranges import MAX_FILE_BYTES
 
 # Of two files for one view the one that lost less is taken.
 _SUFFIX_ORDER = (
@@ -281,14 +282,17 @@ def _truth(roles: dict[str, list[Path]]) -> Path | None:
 
 
 def is_same_file(first: Path, second: Path) -> bool:
-    """Tell whether two paths lead to one file, or to two files with the same bytes.
+    """Tell whether two paths lead to one file, or to two files with the same bytes; those too large to be read differ.
 
     Args:
         first: an existing file.
         second: an existing file.
     """
     try:
-        return first.samefile(second) or filecmp.cmp(first, second, shallow=False)
+        if first.samefile(second):
+            return True
+        is_read = first.stat().st_size <= MAX_FILE_BYTES
+        return is_read and filecmp.cmp(first, second, shallow=False)
     except OSError:  # one of them cannot be opened: reading it says so in its own words
         return False
 

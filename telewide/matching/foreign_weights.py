@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
+from telewide.files import refuse_strange_file
 
 WRAPPERS = ("state_dict", "params", "model")
 """Under these names checkpoints keep their tensors beside epochs and losses."""
@@ -38,6 +39,7 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
     """
     if not path.is_file():
         raise UsageError(f"{path}: no such weights file")
+    refuse_strange_file(path)
     try:
         content: object = load_file(path) if path.suffix == ".safetensors" else _load_plain(path)
         tensors = _state_dict_in(content)
