@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from io import BytesIO
 from pathlib import Path
 
 from telewide.capture.exif import PhotoFacts
+from telewide.capture.jpeg import has_too_many_scans
 from telewide.capture.pillow_photos import open_photo
 from telewide.errors import InputError
 from telewide.files import open_regular
@@ -39,10 +41,12 @@ def _is_whole_jpeg(path: Path) -> bool:
     try:
         with warnings.catch_warnings(), open_regular(path) as stream:
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on large photos
-            if stream.read(2) != b"\xff\xd8":
+            data = stream.read()
+            if not data.startswith(b"\xff\xd8"):
                 return True  # HEIC, which counts as JPEG elsewhere
-            stream.seek(0)
-            with open_photo(path, stream, "JPEG") as photo:
+            if has_too_many_scans(data):
+                return False
+            with open_photo(path, BytesIO(data), "JPEG") as photo:
                 photo.draft("L", _COARSE_PX)
                 photo.load()
     except (OSError, SyntaxError, ValueError):

@@ -26,13 +26,14 @@ from PIL import Image, ImageCms, UnidentifiedImageError
 
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
+from telewide.capture.jpeg import has_too_many_scans
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.sizes import check_size, halved, is_read_halved, say_halved
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
-from telewide.ranges import MAX_PIXELS
+from telewide.ranges import MAX_PIXELS, MAX_SCANS
 
 if TYPE_CHECKING:
     import tifffile
@@ -227,6 +228,8 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
         deep = _decode_deep_tiff(path, data)
         if deep is not None:
             return deep
+    if kind == "JPEG" and has_too_many_scans(data):
+        raise InputError(f"{path} asks for more than {MAX_SCANS} scans of its pixels, which no encoder makes")
     with open_photo(path, BytesIO(data), kind) as photo:
         hw = (photo.height, photo.width)
         if is_read_halved(hw) and photo.format in {"JPEG", "MPO"}:

@@ -23,6 +23,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from telewide.boards.shots import find_board_shots
 from telewide.capture import sizes
+from telewide.capture.damage import why_damaged
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.importer import plan_import
@@ -30,6 +31,7 @@ from telewide.capture.layout import find_captures
 from telewide.capture.lens_choice import LensChoice
 from telewide.capture.opcodes import parse_opcodes
 from telewide.errors import InputError
+from telewide.files import fingerprint
 
 FLAT = np.full((48, 64), 0.25, np.float32)
 PLAIN_WARP = warp((1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -246,3 +248,55 @@ def test_board_photos_of_an_unread_kind_are_named(tmp_path: Path) -> None:
     assert shot.tele_path is None
     assert shot.wide_path is not None
     assert "tele.gif cannot be read" in shot.notes[0]
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif", "a.dng", "a.webp"])
+def test_a_photo_with_a_hole_of_a_terabyte_is_refused(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    Image.new("RGB", (64, 48)).save(path, {"dng": "TIFF"}.get(name[2:]))
+    os.truncate(path, 1 << 40)
+    for read in (read_image, read_photo_facts, fingerprint):
+        with bounded(megabytes=50), pytest.raises(InputError, match="has 1099511627776 bytes; files of up to 2 GiB"):
+            read(path)
+
+
+def test_two_photos_with_equal_holes_are_not_compared(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    for view in ("tele", "wide"):
+        Image.new("RGB", (64, 48)).save(tmp_path / "one" / f"{view}.jpg")
+        os.truncate(tmp_path / "one" / f"{view}.jpg", 1 << 40)
+    with bounded(megabytes=50):
+        assert len(find_captures(tmp_path).captures) == 1  # reading it says why it is left out
+
+
+def progressive_jpeg(*, n_scans: int) -> bytes:
+    """64 x 64 px of grey: the means of its blocks, then scans that add nothing to them."""
+    tables = b"\xff\xdb\x00\x43\x00" + bytes([16] * 64)
+    tables += b"\xff\xc2" + struct.pack(">HBHHB", 11, 8, 64, 64, 1) + bytes([1, 0x11, 0])
+    tables += b"\xff\xc4" + struct.pack(">H", 20) + bytes([0x00, 1, *[0] * 15, 0])
+    tables += b"\xff\xc4" + struct.pack(">H", 20) + bytes([0x10, 1, *[0] * 15, 0xE0])  # 2^14 blocks end here
+    means = b"\xff\xda" + struct.pack(">HB", 8, 1) + bytes([1, 0, 0, 0, 0]) + bytes(8)
+    nothing = b"\xff\xda" + struct.pack(">HB", 8, 1) + bytes([1, 0, 1, 63, 0]) + b"\x00\x01"
+    return b"\xff\xd8" + tables + means + nothing * (n_scans - 1) + b"\xff\xd9"
+
+
+def test_a_jpeg_of_more_scans_than_encoders_make_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    path.write_bytes(progressive_jpeg(n_scans=64))
+    assert read_image(path).shape == (64, 64, 3)
+    path.write_bytes(progressive_jpeg(n_scans=65))
+    with pytest.raises(InputError, match="more than 64 scans"):
+        read_image(path)
+    assert why_damaged(path, read_photo_facts(path)) is not None
+
+
+def test_a_film_behind_a_jpeg_has_no_scans(tmp_path: Path) -> None:
+    """Phones append films and previews, which are full of bytes that look like scans."""
+    path = tmp_path / "a.jpg"
+    path.write_bytes(progressive_jpeg(n_scans=9) + 1000 * b"\xff\xda")
+    assert read_image(path).shape == (64, 64, 3)
+    # So are comments in it.
+    path.write_bytes(
+        b"\xff\xd8\xff\xfe" + struct.pack(">H", 2002) + 1000 * b"\xff\xda" + progressive_jpeg(n_scans=9)[2:]
+    )
+    assert read_image(path).shape == (64, 64, 3)
