@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import io
 import json
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +24,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
-from telewide.files import parse_json, replacing
+from telewide.files import parse_json, refuse_strange_file, replacing
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window, check_stated_window
 from telewide.text import json_text
@@ -139,19 +140,22 @@ def load_state(
         plan: the stages of the training, which the checkpoint must have a place in; None leaves that open.
 
     Raises:
+        UsageError: there is no such file.
         InputError: the file is damaged, of another network, or of another plan.
     """
+    refuse_strange_file(path)
     try:
+        _check_archive(path)
         content = torch.load(path, map_location=device, weights_only=True)
         state = new_state(network_name, seed=0, device=device)
-        state.network.load_state_dict(content["network"])
-        state.average.load_state_dict(content["average"])
+        for name, module in (("network", state.network), ("average", state.average)):
+            module.load_state_dict(_weights_like(content[name], module))
         for name in ("stage_index", "step", "best_stage"):
             setattr(state, name, _count(content[name]))
         stage = None if plan is None else plan[state.stage_index]
         if content["teacher"] is not None:
             state.teacher = _empty_teacher(state, stage).to(device)
-            state.teacher.load_state_dict(content["teacher"])
+            state.teacher.load_state_dict(_weights_like(content["teacher"], state.teacher))
         if stage is not None and stage.is_teaching_space and state.teacher is not None:
             state.optimiser = new_optimiser(state.teacher)
         _take_moments(state, content["optimiser"]["state"])
@@ -169,6 +173,14 @@ def load_state(
     return state
 
 
+def _check_archive(path: Path) -> None:
+    """Refuse an archive that holds more than its own length: packed, or one piece under many names."""
+    with zipfile.ZipFile(path) as archive:
+        n_bytes = sum(entry.file_size for entry in archive.infolist())
+    if n_bytes > path.stat().st_size:
+        raise ValueError(f"it claims to hold {n_bytes} bytes")
+
+
 def _empty_teacher(state: TrainingState, stage: Stage | None) -> nn.Module:
     """Module that the teacher of a checkpoint is read into: it learns in a stage of its own, else it is frozen."""
     if stage is None or stage.space == "own":
@@ -178,22 +190,43 @@ def _empty_teacher(state: TrainingState, stage: Stage | None) -> nn.Module:
 
 
 def _take_moments(state: TrainingState, moments: Mapping[int, Mapping[str, Tensor]]) -> None:
-    """Take Adam's moments; its rates are the loop's."""
+    """Take Adam's moments, and nothing that lies beside them; its rates are the loop's."""
     parameters = [parameter for group in state.optimiser.param_groups for parameter in group["params"]]
+    taken: dict[int, dict[str, Tensor]] = {}
     for index, kept in moments.items():
-        if any(kept[name].shape != parameters[index].shape for name in ("exp_avg", "exp_avg_sq")):
-            raise ValueError(f"the moments of parameter {index} are of another size")
-        _count(int(kept["step"]))
+        like = parameters[_count(index)]
+        mean, square = _numbers_like(kept["exp_avg"], like), _numbers_like(kept["exp_avg_sq"], like)
+        if square.min() < 0:
+            raise ValueError("a mean of squares below 0")
+        n_steps = _count(int(kept["step"]))
+        # Copies: what Adam writes to must not lie in one place under two names.
+        taken[index] = {"step": torch.tensor(float(n_steps)), "exp_avg": mean.clone(), "exp_avg_sq": square.clone()}
     groups = state.optimiser.state_dict()["param_groups"]
-    state.optimiser.load_state_dict({"state": moments, "param_groups": groups})
+    state.optimiser.load_state_dict({"state": taken, "param_groups": groups})
 
 
 def _best_weights(state: TrainingState, plain: Mapping[str, object]) -> BestWeights:
-    best = BestWeights(_count(plain["step"]), _figure(plain["judgement"]), cast(dict[str, Tensor], plain["weights"]))
-    sizes = {name: value.shape for name, value in state.average.state_dict().items()}
-    if {name: value.shape for name, value in best.weights.items()} != sizes:
-        raise ValueError("the best weights are of another network")
-    return best
+    weights = _weights_like(cast(dict[str, Tensor], plain["weights"]), state.average)
+    return BestWeights(_count(plain["step"]), _figure(plain["judgement"]), weights)
+
+
+def _weights_like(weights: Mapping[str, Tensor], module: nn.Module) -> dict[str, Tensor]:
+    """Return the weights of a checkpoint for a module, each of the size and kind that it has."""
+    own = module.state_dict()
+    if weights.keys() != own.keys():
+        raise ValueError("weights of another network")
+    return {name: _numbers_like(weights[name], like) for name, like in own.items()}
+
+
+def _numbers_like(value: object, like: Tensor) -> Tensor:
+    """Return a tensor that is of the size and kind of another one, and holds finite numbers."""
+    if not isinstance(value, Tensor) or value.shape != like.shape:
+        raise ValueError("something else than a tensor of this size")
+    if (value.dtype, value.layout, value.device.type) != (like.dtype, like.layout, like.device.type):
+        raise ValueError(f"{value.dtype} on {value.device}, {like.dtype} was expected")
+    if not torch.isfinite(value).all():
+        raise ValueError("values that are no numbers")
+    return value
 
 
 def _check_place(state: TrainingState, plan: Sequence[Stage]) -> None:
@@ -262,7 +295,8 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
     """Read a network with its card.
 
     Raises:
-        InputError: the file is missing, damaged, or holds something else.
+        UsageError: there is no such file.
+        InputError: the file is damaged, or holds something else.
     """
     card = read_card(path)
     try:
@@ -281,8 +315,10 @@ def read_card(path: Path) -> WeightsCard:
     """Read what a weights file says of itself.
 
     Raises:
-        InputError: the file is missing, damaged, or holds something else.
+        UsageError: there is no such file.
+        InputError: the file is damaged, or holds something else.
     """
+    refuse_strange_file(path)
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
@@ -290,7 +326,7 @@ def read_card(path: Path) -> WeightsCard:
         check_stated_window((first, end))
         recipe, training = (cast(dict[str, object], parse_json(metadata[name])) for name in ("recipe", "training"))
         return WeightsCard(metadata["network"], (first, end), {**recipe}, {**training})
-    except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError, RuntimeError) as error:
         raise _no_weights(path) from error
 
 

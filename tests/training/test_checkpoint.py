@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import os
 import pickle
 import resource
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,7 +16,7 @@ import torch
 from safetensors.torch import save_file
 from training.small import CPU, WINDOW
 
-from telewide.errors import InputError, TelewideError
+from telewide.errors import InputError, TelewideError, UsageError
 from telewide.matching.networks import build_network
 from telewide.training.checkpoint import (
     TrainingState,
@@ -145,7 +148,7 @@ def test_damaged_or_foreign_weights_are_refused(tmp_path: Path) -> None:
     save_weights(build_network("lite"), path, card=unknown)
     with pytest.raises(TelewideError, match="another-network"):
         load_weights(path, device=CPU)
-    with pytest.raises(InputError):
+    with pytest.raises(UsageError, match="does not exist"):
         load_weights(tmp_path / "missing.safetensors", device=CPU)
 
 
@@ -234,3 +237,98 @@ def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
     save_weights(network, tmp_path / "w.safetensors", card=CARD)
     with pytest.raises(InputError, match="no weights file of telewide"):
         load_weights(tmp_path / "w.safetensors", device=CPU)
+
+
+def doubled(depth: int) -> object:
+    """A list of two lists of two lists: small in memory and in a file, endless for who walks through it."""
+    content: object = [1.0]
+    for _ in range(depth):
+        content = [content, content]
+    return content
+
+
+@pytest.mark.parametrize("which", ["exp_avg", "exp_avg_sq"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tensor: tensor * float("nan"),
+        lambda tensor: tensor.to_sparse(),
+        lambda tensor: tensor.to("meta"),
+        lambda tensor: tensor.to(torch.complex64),
+        lambda tensor: tensor.to(torch.int8),
+        lambda tensor: tensor.double(),
+        lambda tensor: tensor.tolist(),
+    ],
+)
+def test_moments_that_adam_cannot_go_on_from_are_refused(
+    tmp_path: Path, saved: dict[str, object], which: str, change: Callable[[torch.Tensor], object]
+) -> None:
+    content = copy.deepcopy(saved)
+    moments = content["optimiser"]["state"][0]  # type: ignore[index]
+    moments[which] = change(moments[which])
+    torch.save(content, tmp_path / "state.pt")
+    with pytest.raises(InputError, match="not a checkpoint of this lite training"):
+        load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN)
+
+
+@pytest.mark.parametrize("step", [-1, 10**400, float("nan"), torch.tensor(-5.0), torch.ones(3)])
+def test_a_step_of_adam_that_no_training_comes_to_is_refused(
+    tmp_path: Path, saved: dict[str, object], step: object
+) -> None:
+    content = copy.deepcopy(saved)
+    content["optimiser"]["state"][0]["step"] = step  # type: ignore[index]
+    torch.save(content, tmp_path / "state.pt")
+    with pytest.raises(InputError, match="not a checkpoint of this lite training"):
+        load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN)
+
+
+def test_what_lies_beside_the_moments_is_not_walked_through(tmp_path: Path, saved: dict[str, object]) -> None:
+    """Else 40 levels of two would be 10^12 steps."""
+    content = copy.deepcopy(saved)
+    content["optimiser"]["state"][0]["more"] = doubled(40)  # type: ignore[index]
+    torch.save(content, tmp_path / "state.pt")
+    state = load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN)
+    assert all(set(kept) == {"step", "exp_avg", "exp_avg_sq"} for kept in state.optimiser.state.values())
+
+
+@pytest.mark.parametrize("which", ["network", "average", "teacher"])
+def test_weights_of_a_state_that_are_no_numbers_are_refused(
+    tmp_path: Path, saved: dict[str, object], which: str
+) -> None:
+    content = copy.deepcopy(saved)
+    next(iter(content[which].values()))[0] = float("inf")  # type: ignore[attr-defined]
+    torch.save(content, tmp_path / "state.pt")
+    with pytest.raises(InputError, match="not a checkpoint of this lite training"):
+        load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN)
+
+
+def test_a_state_that_unpacks_to_more_than_its_length_is_refused(tmp_path: Path) -> None:
+    save_state(a_state(), tmp_path / "state.pt")
+    with zipfile.ZipFile(tmp_path / "state.pt") as stored, zipfile.ZipFile(tmp_path / "packed.pt", "w") as packed:
+        for entry in stored.infolist():
+            packed.writestr(entry.filename, stored.read(entry), zipfile.ZIP_DEFLATED)
+    with pytest.raises(InputError, match="not a checkpoint of this lite training"):
+        load_state(tmp_path / "packed.pt", network_name="lite", device=CPU, plan=PLAN)
+
+
+def test_files_with_holes_and_pipes_are_no_weights(tmp_path: Path) -> None:
+    save_weights(build_network("lite"), tmp_path / "w.safetensors", card=CARD)
+    os.truncate(tmp_path / "w.safetensors", 1 << 40)
+    os.mkfifo(tmp_path / "pipe")
+    for name, told in (("w.safetensors", "bytes; files of up to"), ("pipe", "is a pipe")):
+        with pytest.raises(InputError, match=told):
+            load_weights(tmp_path / name, device=CPU)
+        with pytest.raises(InputError, match=told):
+            load_state(tmp_path / name, network_name="lite", device=CPU)
+
+
+def test_moments_in_one_place_under_many_names_are_taken_apart(tmp_path: Path, saved: dict[str, object]) -> None:
+    """Adam cannot write to a tensor whose numbers are all one number of the file."""
+    content = copy.deepcopy(saved)
+    moments = content["optimiser"]["state"][0]  # type: ignore[index]
+    moments["exp_avg"] = moments["exp_avg_sq"] = torch.zeros(1).expand(moments["exp_avg"].shape)
+    torch.save(content, tmp_path / "state.pt")
+    state = load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN)
+    sum(parameter.square().sum() for parameter in state.network.parameters()).backward()
+    state.optimiser.step()
+    assert all(bool(torch.isfinite(parameter).all()) for parameter in state.network.parameters())
