@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from telewide.errors import InputError
 from telewide.ranges import MAX_DISPARITY_PX, MAX_SPAN_PX
 
 VOLUME_STEP_PX = 4
@@ -46,6 +47,22 @@ def widened_window(window: Window, *, planes: int) -> Window:
     check_window(window)
     span_px = planes * VOLUME_STEP_PX
     return window[0] // span_px * span_px, -(-window[1] // span_px) * span_px
+
+
+def within_width(window: Window, width_px: int) -> Window:
+    """The part of a window that a picture of this width can show: src has no column farther away.
+
+    Raises:
+        InputError: there is none.
+    """
+    reach_px = -(-width_px // VOLUME_STEP_PX) * VOLUME_STEP_PX
+    d_min, d_max = max(window[0], -reach_px), min(window[1], reach_px)
+    if d_min >= d_max:
+        raise InputError(
+            f"disparities of {window[0]} to {window[1]} px are to be searched in pictures {width_px} px wide",
+            hint="state another window_px, or take weights of such captures",
+        )
+    return d_min, d_max
 
 
 def planes_of(window: Window, *, within: Window) -> slice:

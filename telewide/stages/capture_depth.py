@@ -39,7 +39,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 from telewide.geometry.stereo import DisparityMap, resize_disparity
 from telewide.matching.matcher import Match
-from telewide.matching.window import Window
+from telewide.matching.window import Window, within_width
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.kept_depth import (
@@ -190,7 +190,7 @@ def _compute(
     """Do all that can fail, and touch no file."""
     begun_s = time.monotonic()
     pair = read_pair(held_out.capture)
-    working = match(pair.tele, pair.wide, window=window)
+    working = match(pair.tele, pair.wide, window=within_width(window, pair.tele.shape[1]))
     numbers = {"match_s": time.monotonic() - begun_s}
     photo = read_image(source.tele_path)
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)

@@ -7,9 +7,11 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from telewide.options import Options
+from telewide.ranges import MAX_CROP_PX, MAX_STAGES, MAX_STEP_PIXELS, MAX_STEPS
 
-Count = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, le=MAX_STEPS)]
 Positive = Annotated[float, Field(gt=0)]
+Side = Annotated[int, Field(ge=64, le=MAX_CROP_PX, multiple_of=16)]
 
 WEIGHTS_NAME = "weights.safetensors"
 """Of the result of a training, in the folder of the training."""
@@ -70,12 +72,9 @@ class StageOptions(Options):
 class TrainOptions(Options):
     """The stages in their order and what they share."""
 
-    crop_hw: tuple[Annotated[int, Field(ge=64, multiple_of=16)], Annotated[int, Field(ge=64, multiple_of=16)]] = (
-        256,
-        384,
-    )
+    crop_hw: tuple[Side, Side] = (256, 384)
     """Height and width of the crops, px."""
-    stages: Count = 3
+    stages: Annotated[int, Field(ge=0, le=MAX_STAGES)] = 3
     """K, how many feature-metric stages follow at most."""
     rehearsal: StageOptions = StageOptions(steps=0)
     """Supervised by rendered pairs; before the paper's stages."""
@@ -105,6 +104,7 @@ class TrainOptions(Options):
         if self.asymmetry is not None and self.asymmetry[0] > self.asymmetry[1]:
             raise ValueError(f"asymmetry {list(self.asymmetry)} runs from the smaller factor to the larger")
         self._check_space()
+        self._check_crops()
         # An auto-encoder needs pictures alone, a contrastive space the matches of a network.
         is_first = not (self.rehearsal.steps or self.photometric.steps) and self.feature_space != "auto-encoder"
         feature = self.feature
@@ -114,6 +114,17 @@ class TrainOptions(Options):
                 "photometric.steps above 0"
             )
         return self
+
+    def _check_crops(self) -> None:
+        """Refuse steps that ask for more memory than machines have."""
+        for name in ("rehearsal", "photometric", "space", "feature"):
+            stage: StageOptions = getattr(self, name)
+            n_pixels = (stage.rehearsed + stage.captured) * self.crop_hw[0] * self.crop_hw[1]
+            if stage.steps and n_pixels > MAX_STEP_PIXELS:
+                raise ValueError(
+                    f"{name}: {stage.rehearsed + stage.captured} crops of {self.crop_hw[0]} x {self.crop_hw[1]} px a "
+                    f"step; together at most {MAX_STEP_PIXELS} px"
+                )
 
     def _check_space(self) -> None:
         if (self.feature_space == "own") != (self.space.steps == 0):

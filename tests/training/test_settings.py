@@ -238,3 +238,19 @@ def _run(
     train(training, state, reporter=heard)
     assert not (folder / "space.safetensors").exists()
     return losses, taught
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"stages": 101},
+        {"stages": 10**18},
+        {"rehearsal": {"steps": 10**10, "rehearsed": 1}},
+        {"crop_hw": [10**6, 64]},
+        {"rehearsal": {"steps": 1, "rehearsed": 10**9}},
+        {"crop_hw": [512, 512], "photometric": {"steps": 1, "captured": 65}},
+    ],
+)
+def test_numbers_that_ask_for_more_memory_than_there_is_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        TrainOptions.model_validate(options)

@@ -1,0 +1,26 @@
+"""Windows of disparities: what a picture can show of them."""
+
+from __future__ import annotations
+
+import pytest
+
+from telewide.errors import InputError
+from telewide.matching.window import Window, within_width
+
+
+@pytest.mark.parametrize(
+    ("window", "width_px", "expected"),
+    [
+        ((-8, 64), 128, (-8, 64)),
+        ((0, 4096), 128, (0, 128)),
+        ((-2048, 2048), 97, (-100, 100)),
+        ((-4096, -96), 97, (-100, -96)),
+    ],
+)
+def test_no_disparity_is_searched_beyond_the_picture(window: Window, width_px: int, expected: Window) -> None:
+    assert within_width(window, width_px) == expected
+
+
+def test_a_window_that_lies_beyond_the_picture_is_refused() -> None:
+    with pytest.raises(InputError, match="4096 to 8192 px are to be searched in pictures 128 px wide"):
+        within_width((4096, 8192), 128)
