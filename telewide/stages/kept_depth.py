@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -107,19 +108,19 @@ def refuse_results_of_another(folder: Path, source: Path) -> None:
 def listed_files(folder: Path) -> frozenset[str]:
     """Names of the files in a folder that telewide wrote, ``depth.json`` among them; empty where nothing tells.
 
-    A ``depth.json`` that cannot be read was cut off, and stands for all that is ever written beside it.
+    A ``depth.json`` that cannot be read was cut off, and stands for all that is ever written beside it. One that names
+    something else than that, or a folder, was not written by telewide.
     """
     path = folder / KEPT_NAME
     if not path.is_file():
         return frozenset()
-    try:
+    listed: object = FILE_NAMES
+    with suppress(TelewideError):
         content = read_json(path)
-    except TelewideError:
-        return frozenset((*FILE_NAMES, KEPT_NAME))
-    listed = (content.get("files_bytes") or content.get("files")) if isinstance(content, dict) else None
-    if not isinstance(listed, dict | list):
+        listed = (content.get("files_bytes") or content.get("files")) if isinstance(content, dict) else None
+    if not isinstance(listed, dict | list | tuple):
         return frozenset()
-    return frozenset((*(name for name in map(str, listed) if Path(name).name == name), KEPT_NAME))
+    return frozenset((*(name for name in FILE_NAMES if name in listed and not (folder / name).is_dir()), KEPT_NAME))
 
 
 def put_in_place(staged: Path, folder: Path) -> None:

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import pytest
 
-from telewide.stages.kept_depth import KEPT_NAME, KeptDepth, read_kept, write_kept
+from telewide.errors import UsageError
+from telewide.stages.kept_depth import (
+    KEPT_NAME,
+    KeptDepth,
+    listed_files,
+    put_in_place,
+    read_kept,
+    refuse_foreign_files,
+    write_kept,
+)
 
 KEY = {"tele": "abc", "options": {"strength_px": 3.0}, "window": (0, 32)}
 
@@ -49,3 +59,26 @@ def test_what_is_no_longer_whole_is_made_again(folder: Path) -> None:
 def test_a_record_that_says_nothing_is_none(folder: Path, content: str) -> None:
     (folder / KEPT_NAME).write_text(content)
     assert read_kept(folder, KEY) is None
+
+
+@pytest.mark.parametrize("name", ["mine.txt", "..", ".", "/etc", "a/b", "tele.png"])
+def test_a_record_lists_nothing_but_what_telewide_writes(tmp_path: Path, name: str) -> None:
+    """Else a stranger's record would say what is removed."""
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / KEPT_NAME).write_text(json.dumps({"files_bytes": {name: 1, "preview.png": 2}}))
+    assert listed_files(tmp_path) == {"preview.png", KEPT_NAME}
+
+
+def test_files_of_others_stay_whatever_a_record_lists(tmp_path: Path) -> None:
+    folder, staged = tmp_path / "000", tmp_path / "staged"
+    for place in (folder, staged):
+        place.mkdir()
+    (folder / "mine.txt").write_text("mine")
+    (folder / "bokeh.jpg").mkdir()
+    (folder / "bokeh.jpg" / "also mine").touch()
+    (folder / KEPT_NAME).write_text(json.dumps({"files_bytes": {"mine.txt": 4, "..": 1, "bokeh.jpg": 1}}))
+    write_kept(staged, KeptDepth((), (), {}), key=KEY)
+    put_in_place(staged, folder)
+    assert {path.name for path in folder.iterdir()} == {"mine.txt", "bokeh.jpg", KEPT_NAME}
+    with pytest.raises(UsageError, match=r"bokeh\.jpg"):
+        refuse_foreign_files(folder, ("bokeh.jpg", KEPT_NAME))
