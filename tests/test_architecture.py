@@ -60,7 +60,7 @@ LAYERS = {
 MAX_POSITIONAL = 3
 MAX_UNNAMED = 4
 MAX_LINES = 50
-HEAVY = ("torch", "cv2", "scipy", "pydantic", "colour", "rawpy")
+HEAVY = ("torch", "cv2", "scipy", "pydantic", "jinja2", "colour", "rawpy")
 
 
 def layer(name: str) -> int | None:

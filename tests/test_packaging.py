@@ -76,6 +76,9 @@ def test_wheel_holds_the_package_and_nothing_else(wheel: Path, repo: Path) -> No
         names = archive.namelist()
     modules = {name for name in names if name.endswith(".py")}
     assert modules == {path.relative_to(repo).as_posix() for path in (repo / "telewide").rglob("*.py")}
+    templates = {path.relative_to(repo).as_posix() for path in (repo / "telewide/pages/templates").iterdir()}
+    assert templates
+    assert templates <= set(names)
     assert "telewide/py.typed" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"telewide"}

@@ -15,7 +15,8 @@ from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.errors import TelewideError
-from telewide.pages.report import Curve, NextStep, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
+from telewide.pages.curves import Curve
+from telewide.pages.report import NextStep, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.run_folder import RunFolder
 from telewide.text import Invocation, command_line

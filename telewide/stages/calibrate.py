@@ -29,8 +29,9 @@ from telewide.capture.images import read_image
 from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, TelewideError
 from telewide.geometry.arrays import FloatMap
+from telewide.pages.board_rig import board_rig_page
 from telewide.pages.report import NextStep
-from telewide.pages.rig_report import write_rig_report
+from telewide.pages.rig_page import write_rig_page
 from telewide.stages.observer import Observer
 from telewide.text import Invocation, command_line, counted
 
@@ -222,7 +223,8 @@ def _write_report(boards: Path, solved: SolvedBoards, *, options: CalibrateOptio
     }
     rectified = _rectified_shot(solved.shots, calibration)
     steps = _next_steps(boards, calibration, options)
-    return write_rig_report(path, calibration, facts=facts, next_steps=steps, rectified=rectified)
+    page = board_rig_page(calibration, facts=facts, next_steps=steps, rectified=rectified)
+    return write_rig_page(path, page)
 
 
 def calibrate_call(boards: Path, options: CalibrateOptions) -> Invocation:

@@ -42,7 +42,8 @@ from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.camera import focal_px_from_f35
 from telewide.geometry.rig import Camera
 from telewide.pages.report import NextStep
-from telewide.pages.scenes_report import SceneView, write_scenes_report
+from telewide.pages.rig_page import write_rig_page
+from telewide.pages.scenes_rig import SceneView, scenes_rig_page
 from telewide.points.matches import Matches
 from telewide.points.photo_matches import find_photo_matches
 from telewide.stages.calibrate import stated_rig
@@ -304,8 +305,7 @@ def _write_report(
         "rig": options.out.name,
         "telewide": metadata.version("telewide"),
     }
-    return write_scenes_report(
-        path,
+    page = scenes_rig_page(
         evidence.whole,
         quality=stored.quality,
         views=_views(matched, evidence),
@@ -313,6 +313,7 @@ def _write_report(
         next_steps=_next_steps(folder, stored, options=options, evidence=evidence),
         rectified=_rectified_capture(matched, evidence.whole),
     )
+    return write_rig_page(path, page)
 
 
 def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:

@@ -10,18 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from telewide.pages.charts import (
-    Axis,
-    Bar,
-    Line,
-    arrow_chart,
-    axis_over,
-    bar_list,
-    coverage_chart,
-    dot_chart,
-    heat_chart,
-    line_chart,
-)
+from telewide.pages.axes import Axis, axis_over
+from telewide.pages.charts import Bar, Line, bar_list, dot_chart, line_chart
+from telewide.pages.photo_charts import arrow_chart, coverage_chart, heat_chart
 
 
 def parsed(figure: str) -> ET.Element:

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from telewide.pages.report import Curve, NextStep, ReportRow, curve_svg, thumbnail, write_report
+from telewide.pages.curves import Curve, curve_svg
+from telewide.pages.report import NextStep, ReportRow, thumbnail, write_report
 
 VOID = {"meta", "img", "link", "br"}
 SELF_CLOSED = {"line", "polyline"}

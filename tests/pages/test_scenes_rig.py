@@ -15,7 +15,8 @@ from telewide.calibration.scene_quality import SceneEvidence, judge_scenes
 from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, SideSource
 from telewide.geometry.rig import StereoRig
 from telewide.pages.report import NextStep
-from telewide.pages.scenes_report import SceneView, write_scenes_report
+from telewide.pages.rig_page import write_rig_page
+from telewide.pages.scenes_rig import SceneView, scenes_rig_page
 
 RIG = phone_rig(has_distortion=False)
 ERRORS_PX = np.linspace(0, 1.5, 151)
@@ -42,8 +43,7 @@ def page(path: Path, rig: SceneRig, quality: CalibrationQuality, *, has_pair: bo
         SceneView("fog", matches.select(np.arange(5)), 12, np.zeros(0), is_used=False),
     ]
     grey = np.full((60, 80, 3), 0.5, np.float32)
-    write_scenes_report(
-        path,
+    content = scenes_rig_page(
         rig,
         quality=quality,
         views=views,
@@ -51,6 +51,7 @@ def page(path: Path, rig: SceneRig, quality: CalibrationQuality, *, has_pair: bo
         next_steps=[NextStep("Go on:", "telewide train captures/")],
         rectified=("beach <1>", grey, grey) if has_pair else None,
     )
+    write_rig_page(path, content)
     return path.read_text(encoding="utf-8")
 
 
@@ -70,7 +71,7 @@ def test_the_page_is_one_file_with_every_figure(tmp_path: Path) -> None:
     for value in (quality.epipolar_p50_px, quality.epipolar_p90_px, quality.epipolar_p99_px):
         assert f"{value:.2f} tele px" in words
     assert "90 of 100 matches in 1 captures agree" in words
-    assert f"{RIG.baseline_m * 1e3:.2f} &plusmn; 0.50 mm apart, as stated" in words
+    assert f"{RIG.baseline_m * 1e3:.2f} ± 0.50 mm apart, as stated" in words
     assert "beach &lt;1&gt;" in text
     assert "beach <1>" not in text
     assert text.count("<img") == 1

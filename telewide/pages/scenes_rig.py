@@ -1,7 +1,6 @@
-"""The page about a rig from scenes: can it be trusted, what can it not know, and what to photograph next.
+"""Content of the page about a rig from captures without a board, and what such a rig cannot know.
 
-One file that opens offline, kin to the page about a board's calibration. Every figure says in its caption what good
-looks like. Letters: N matches of a capture.
+Letters: N matches of a capture.
 """
 
 from __future__ import annotations
@@ -9,39 +8,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.scene_rig import CONTRADICTIONS, SceneRig, SideSource
-from telewide.files import write_text
-from telewide.geometry.arrays import FloatArray, FloatMap
-from telewide.pages.charts import CHART_STYLE, Bar, bar_list, coverage_chart
-from telewide.pages.report import (
-    NextStep,
-    facts_html,
-    next_step_html,
-    page_html,
-    picture_html,
-    section_html,
-    thumbnail,
-)
-from telewide.pages.rig_charts import epipolar_bars, epipolar_limit_px
-from telewide.pages.rig_checks import CHECKS_STYLE, advice_html, checks_html
+from telewide.geometry.arrays import FloatArray
+from telewide.pages.charts import Bar, bar_list
+from telewide.pages.depth_errors import MATCHING_STD_PX, depth_errors
+from telewide.pages.epipolar_bars import epipolar_bars, epipolar_limit_px
+from telewide.pages.page import html_part
+from telewide.pages.photo_charts import coverage_chart
+from telewide.pages.report import NextStep
 from telewide.pages.rig_figures import cell_counts, tele_outline_px
-from telewide.pages.rig_report import scan_lines_picture
-from telewide.pages.scenes_depth import scenes_depth_html
+from telewide.pages.rig_page import RectifiedViews, RigPage, Section, rectified_section
 from telewide.points.matches import Matches
 
 _COVERAGE_CELLS = (6, 8)
 _MAX_DOTS = 4000
-_PAIR_LONGEST_PX = 1448
-_VERDICTS = {
-    "good": "Good: every check passed.",
-    "usable": "Usable: it works, within what the warnings below say it cannot know.",
-    "insufficient": "Not good enough: depth from this rig cannot be trusted. Below is what to photograph next.",
-}
 _SIDE_WORDS: dict[SideSource, str] = {
     "seen": "matches: only so is everything in front of the lenses",
     "stated": "stated",
@@ -69,51 +54,49 @@ class SceneView:
     is_used: bool
 
 
-def write_scenes_report(
-    path: Path,
+def scenes_rig_page(
     found: SceneRig,
     *,
     quality: CalibrationQuality,
     views: Sequence[SceneView],
     facts: Mapping[str, str],
     next_steps: Sequence[NextStep] = (),
-    rectified: tuple[str, FloatMap, FloatMap] | None = None,
-) -> Path:
-    """Write the report of a rig from scenes as one HTML file.
+    rectified: RectifiedViews | None = None,
+) -> RigPage:
+    """Compose the page about a rig from scenes.
 
     Args:
-        path: of the file.
         found: the rig and how sure it is.
         quality: what it is worth.
         views: every capture.
         facts: where it comes from: captures, version.
         next_steps: commands worth running now.
-        rectified: name, tele and wide of a rectified pair of one size, (H, W, 3) RGB in [0, 1]; None leaves it out.
-
-    Returns:
-        The path.
+        rectified: a rectified pair; None where the rig cannot rectify.
     """
-    sections = [
-        "<h1>A wide and a tele lens, from captures without a board</h1>",
-        f'<p class="verdict {quality.verdict}">{_VERDICTS[quality.verdict]}<br>{_summary(found, views)}</p>',
-        section_html("Checks", checks_html(quality.checks)),
-        section_html("What next", advice_html(quality.checks) + "".join(map(next_step_html, next_steps))),
-        section_html("The rig", _rig_html(found)),
-        section_html("Where the matches lie", "".join(_coverage_figures(found, views)), css_class="charts"),
-        section_html("Held-out epipolar error", _error_figures(quality, views), css_class="charts"),
-        section_html("Depth error", scenes_depth_html(found)),
-        section_html("A rectified pair", _rectified_html(rectified)),
-        section_html("Made by", facts_html(facts)),
-    ]
-    write_text(path, page_html("Rig from captures", sections, extra_style=CHART_STYLE + CHECKS_STYLE))
-    return path
+    unrectified = html_part("paragraph", text="This rig cannot rectify a pair.")
+    return RigPage(
+        title="Rig from captures",
+        heading="A wide and a tele lens, from captures without a board",
+        usable="Usable: it works, within what the warnings below say it cannot know.",
+        quality=quality,
+        summary=_summary(found, views),
+        sections=(
+            Section("The rig", _rig_table(found)),
+            Section("Where the matches lie", Markup().join(_coverage_figures(found, views)), "charts"),
+            Section("Held-out epipolar error", _error_figures(quality, views), "charts"),
+            Section("Depth error", _depth_errors(found)),
+            rectified_section(rectified, missing=unrectified),
+        ),
+        next_steps=next_steps,
+        facts=facts,
+    )
 
 
 def _summary(found: SceneRig, views: Sequence[SceneView]) -> str:
     rig, std = found.rig, found.std
     words = [
         f"{sum(view.is_used for view in views)} of {len(views)} captures had matches enough",
-        f"tele is {rig.asymmetry:.3f} &plusmn; {rig.asymmetry * std.ratio_share:.3f} times as long as wide",
+        f"tele is {rig.asymmetry:.3f} ± {rig.asymmetry * std.ratio_share:.3f} times as long as wide",
         f"the zero of disparity is known to {std.zero_px:.0f} tele px",
         _baseline_words(found),
     ]
@@ -124,18 +107,13 @@ def _baseline_words(found: SceneRig) -> str:
     if not found.rig.is_scale_known:
         return "the distance of the lenses is not known, so depth is relative"
     baseline_mm, std_mm = found.rig.baseline_m * 1e3, found.std.baseline_m * 1e3
-    return f"lenses {baseline_mm:.2f} &plusmn; {std_mm:.2f} mm apart, as stated"
+    return f"lenses {baseline_mm:.2f} ± {std_mm:.2f} mm apart, as stated"
 
 
-def _rig_html(found: SceneRig) -> str:
-    rows = "".join(
-        f'<tr><th scope="row">{name}</th><td>{value}</td><td>{std}</td><td class="words">{source}</td></tr>\n'
-        for name, value, std, source in _rig_rows(found)
-    )
-    head = '<tr><th></th><th>value</th><th>&plusmn;</th><th class="words">what it rests on</th></tr>'
-    table = f"<table><thead>{head}</thead>\n<tbody>{rows}</tbody></table>"
-    note = "&plusmn; is one standard deviation."
-    return f'<div class="scroll">{table}</div><p class="faint">{note}</p>'
+def _rig_table(found: SceneRig) -> Markup:
+    head = ["", "value", "±", "what it rests on"]
+    notes = ["± is one standard deviation."]
+    return html_part("noted_table", head=head, rows=list(_rig_rows(found)), notes=notes, words=[3])
 
 
 def _rig_rows(found: SceneRig) -> Iterator[tuple[str, str, str, str]]:
@@ -179,7 +157,7 @@ def _focal_words(found: SceneRig) -> str:
     )
 
 
-def _coverage_figures(found: SceneRig, views: Sequence[SceneView]) -> Iterator[str]:
+def _coverage_figures(found: SceneRig, views: Sequence[SceneView]) -> Iterator[Markup]:
     used = [view for view in views if view.is_used]
     n_found, n_agreeing = sum(view.n_found for view in used), sum(len(view.matches) for view in used)
     said = f"{n_agreeing} of {n_found} matches in {len(used)} captures agree with the rig. "
@@ -199,9 +177,10 @@ def _coverage_figures(found: SceneRig, views: Sequence[SceneView]) -> Iterator[s
         )
 
 
-def _error_figures(quality: CalibrationQuality, views: Sequence[SceneView]) -> str:
+def _error_figures(quality: CalibrationQuality, views: Sequence[SceneView]) -> Markup:
     if not math.isfinite(quality.epipolar_p90_px):
-        return "<p>Nothing was held out: too few captures for two rigs that judge each other's captures.</p>"
+        words = "Nothing was held out: too few captures for two rigs that judge each other's captures."
+        return html_part("paragraph", text=words)
     caption = (
         "How far matches lie from the row that the other photo says they are on, in captures that the rig was solved "
         "without, each corrected for its own lens movement. This is the row error that stereo matching will meet."
@@ -215,9 +194,37 @@ def _error_figures(quality: CalibrationQuality, views: Sequence[SceneView]) -> s
     return whole + bar_list(each, unit="tele px", caption=caption, limit=epipolar_limit_px(quality))
 
 
-def _rectified_html(rectified: tuple[str, FloatMap, FloatMap] | None) -> str:
-    if rectified is None:
-        return "<p>This rig cannot rectify a pair.</p>"
-    name, tele, wide = rectified
-    label = f"tele and wide of {name} after rectification. Good: whatever lies on a line in one lies on it in the other"
-    return picture_html(thumbnail(label, scan_lines_picture(tele, wide), longest_px=_PAIR_LONGEST_PX), name)
+def _depth_errors(found: SceneRig) -> Markup:
+    """Errors of depth with the zero of disparity as unsure as it is, and as if it were known."""
+    pinned = "zero pinned with --distance" if found.rig.is_scale_known else "were the zero known"
+    return depth_errors(
+        found.rig,
+        {
+            f"zero known to {found.std.zero_px:.0f} px, as it is": math.hypot(MATCHING_STD_PX, found.std.zero_px),
+            f"{pinned}, matching to {MATCHING_STD_PX} px": MATCHING_STD_PX,
+        },
+        caption="sigma_z = z² sigma_d / (f B): one standard deviation of depth over distance. At 100 % and above "
+        "nothing is known of the distance, only what is nearer than what.",
+        notes=_depth_notes(found),
+    )
+
+
+def _depth_notes(found: SceneRig) -> tuple[str, ...]:
+    std = found.std
+    if found.rig.is_scale_known:
+        share = math.hypot(std.baseline_m / found.rig.baseline_m, std.tele_f_share)
+        shared = (
+            f"The stated distance of the lenses (to {std.baseline_m / found.rig.baseline_m:.1%}) and tele's focal "
+            f"length (to {std.tele_f_share:.1%}) add {share:.1%} at every distance."
+        )
+    else:
+        shared = (
+            "The distance of the lenses is not known: a known distance then gives the scale, and leaves the zero as "
+            "unsure as it is. State --baseline-m to have both."
+        )
+    zero = (
+        "Where infinitely far things lie is not seen in matches: it rests on the principal points, taken near the "
+        "middles of the photos. depth_std_m of every capture counts that in; a known distance, or a board, takes it "
+        "out."
+    )
+    return shared, zero

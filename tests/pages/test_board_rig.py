@@ -13,8 +13,9 @@ from pages.made_calibration import CHECKS, DROPPED_REASON, made_calibration
 
 from telewide.calibration.quality import Check
 from telewide.calibration.result import Calibration
+from telewide.pages.board_rig import board_rig_page
 from telewide.pages.report import NextStep
-from telewide.pages.rig_report import scan_lines_picture, write_rig_report
+from telewide.pages.rig_page import scan_lines_picture, write_rig_page
 
 VOID = {"meta", "img", "br"}
 
@@ -45,13 +46,13 @@ class Outline(HTMLParser):
 
 def page_of(path: Path, calibration: Calibration, *, has_pair: bool = True) -> Outline:
     grey = np.full((60, 80, 3), 0.5, np.float32)
-    write_rig_report(
-        path,
+    content = board_rig_page(
         calibration,
         facts={"board": "chessboard <9x6>"},
         next_steps=[NextStep("Train:", "telewide train captures/")],
         rectified=("shot_01", grey, grey) if has_pair else None,
     )
+    write_rig_page(path, content)
     outline = Outline()
     outline.feed(path.read_text(encoding="utf-8"))
     assert outline.open == []

@@ -1,7 +1,6 @@
-"""The figures of a calibration's report: coverage, residuals, photos, cross-validation, epipolar and depth error.
+"""Figures about a rig from photos of a board: coverage, residuals, photos, repeatability, epipolar and depth error.
 
-Each is one or more figure elements whose captions say what good looks like, or an empty string where there is nothing
-to draw.
+Each is one or more figure elements, or nothing where there is nothing to draw.
 """
 
 from __future__ import annotations
@@ -10,58 +9,51 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.result import Calibration, Lens, ViewResult
 from telewide.geometry.arrays import FloatArray
-from telewide.geometry.rig import Camera, StereoRig
-from telewide.pages.charts import (
-    Axis,
-    Bar,
-    Line,
-    arrow_chart,
-    axis_over,
-    bar_list,
-    coverage_chart,
-    dot_chart,
-    heat_chart,
-    line_chart,
-)
-from telewide.pages.depth_table import MATCHING_STD_PX, ROWS_M, depth_error_words, depth_table_html
+from telewide.geometry.rig import Camera
+from telewide.pages.axes import Axis, axis_over
+from telewide.pages.charts import Bar, Line, bar_list, dot_chart
+from telewide.pages.depth_errors import MATCHING_STD_PX, depth_errors
+from telewide.pages.epipolar_bars import epipolar_bars
+from telewide.pages.page import html_part
+from telewide.pages.photo_charts import arrow_chart, coverage_chart, heat_chart
 from telewide.pages.rig_figures import (
     camera_difference_px,
     cell_counts,
-    depth_error_m,
     tele_outline_px,
     transfer_difference_px,
 )
 
 LENSES: tuple[Lens, ...] = ("tele", "wide")
-_LensFigure = Callable[[Calibration, Lens, Sequence[ViewResult]], str]
+_LensFigure = Callable[[Calibration, Lens, Sequence[ViewResult]], Markup]
 _COVERAGE_CELLS = (6, 8)
 _ARROW_SHARE = 0.03  # the 95th percentile of the arrows is drawn so long, as a share of the photo's width
 _MEDIAN_OF_ABS_NORMAL = 0.6745
 
 
-def coverage_figures(calibration: Calibration) -> str:
+def coverage_figures(calibration: Calibration) -> Markup:
     """Where the corners lie in the photos of each lens."""
     return _per_lens(calibration, _coverage_figure)
 
 
-def residual_figures(calibration: Calibration) -> str:
+def residual_figures(calibration: Calibration) -> Markup:
     """Draw what the rig does not explain, corner by corner, for each lens."""
     return _per_lens(calibration, _residual_figure)
 
 
-def view_figures(calibration: Calibration) -> str:
+def view_figures(calibration: Calibration) -> Markup:
     """The error of each photo, the ones left out marked, for each lens."""
     return _per_lens(calibration, _view_figure)
 
 
-def cross_validation_figures(calibration: Calibration) -> str:
+def cross_validation_figures(calibration: Calibration) -> Markup:
     """Draw how differently the odd and the even photos place things: each lens alone, and from tele to wide."""
     if calibration.half_rigs is None:
-        return ""
+        return Markup()
     odd, even = calibration.half_rigs
     distance_m = _joint_distance_m(calibration.views)
     maps = (
@@ -84,13 +76,13 @@ def cross_validation_figures(calibration: Calibration) -> str:
         high = max(float(np.nanmax(difference_px)), 0.1)
         values = difference_px.astype(np.float32)
         figures.append(heat_chart(values, hw=hw, value_range=(0.0, high), unit="px", caption=caption))
-    return "".join(figures)
+    return Markup().join(figures)
 
 
-def epipolar_figure(quality: CalibrationQuality) -> str:
+def epipolar_figure(quality: CalibrationQuality) -> Markup:
     """Row errors in photos that the rig was solved without."""
     if not math.isfinite(quality.epipolar_p90_px):
-        return "<p>Too few photos of both lenses at once to hold any out.</p>"
+        return html_part("paragraph", text="Too few photos of both lenses at once to hold any out.")
     return epipolar_bars(
         quality,
         caption="How far corners lie from the line that the other photo says they are on, in photos that the rig was "
@@ -98,57 +90,30 @@ def epipolar_figure(quality: CalibrationQuality) -> str:
     )
 
 
-def epipolar_bars(quality: CalibrationQuality, *, caption: str) -> str:
-    """The held-out row errors of a rig, with the limit for 90 % of them where one is set."""
-    bars = [
-        Bar("median", quality.epipolar_p50_px),
-        Bar("90 % are below", quality.epipolar_p90_px),
-        Bar("99 % are below", quality.epipolar_p99_px),
-    ]
-    limit = epipolar_limit_px(quality)
-    dashed = "" if limit is None else " Dashed: limit for 90 %."
-    return bar_list(bars, unit="tele px", caption=caption + dashed, limit=limit)
-
-
-def epipolar_limit_px(quality: CalibrationQuality) -> float | None:
-    """Limit that 90 % of the held-out row errors are to stay below, tele px; None where no check says."""
-    return next((check.limit for check in quality.checks if "epipolar" in check.name), None)
-
-
-def depth_figure(calibration: Calibration) -> str:
+def board_depth_errors(calibration: Calibration) -> Markup:
     """Draw what errors of disparity cost at each distance, as a curve and a table."""
     rig, quality = calibration.rig, calibration.quality
     if not rig.is_scale_known:
-        return "<p>Without the size of the board there is no depth in metres.</p>"
+        return html_part("paragraph", text="Without the size of the board there is no depth in metres.")
     own_px = _calibration_std_px(quality)
-    stds = [(f"matching to {MATCHING_STD_PX} px", math.hypot(MATCHING_STD_PX, own_px))]
+    stds_px = {f"matching to {MATCHING_STD_PX} px": math.hypot(MATCHING_STD_PX, own_px)}
     if own_px > 0:
-        stds.append((f"this calibration alone ({own_px:.2f} px)", own_px))
-    depths_m = np.geomspace(0.25, 10.0, 60)
-    lines = [
-        Line(name, np.column_stack([depths_m, 100 * depth_error_m(depths_m, rig, disparity_std_px=std_px) / depths_m]))
-        for name, std_px in stds
-    ]
-    highest = float(lines[0].points[:, 1].max())
-    chart = line_chart(
-        lines,
-        x=Axis("distance, m", 0.25, 10.0, is_log=True),
-        y=axis_over([0.0, highest], label="error of depth, % of the distance"),
+        stds_px[f"this calibration alone ({own_px:.2f} px)"] = own_px
+    baseline_share = calibration.transform_std.baseline_m / rig.baseline_m
+    return depth_errors(
+        rig,
+        stds_px,
         caption="sigma_z = z² sigma_d / (f B): error of depth over distance, for an error of disparity. That of "
         "the calibration is from the held-out epipolar error or the two halves of the photos, whichever is larger.",
+        notes=[f"The distance of the lenses, known to {baseline_share:.2%}, adds the same share at every distance."],
     )
-    columns = {name: [_depth_cell(depth_m, rig, std_px) for depth_m in ROWS_M] for name, std_px in stds}
-    table = depth_table_html(columns, distances=[f"{depth_m:g} m" for depth_m in ROWS_M])
-    baseline_share = calibration.transform_std.baseline_m / rig.baseline_m
-    note = f"The distance of the lenses, known to {baseline_share:.2%}, adds the same share at every distance."
-    return f'<div class="charts">{chart}<div class="scroll">{table}<p class="faint">{note}</p></div></div>'
 
 
-def pose_figure(views: Sequence[ViewResult]) -> str:
+def pose_figure(views: Sequence[ViewResult]) -> Markup:
     """Distance and tilt of the board in each photo."""
     shown = [v for v in views if v.is_used and math.isfinite(v.tilt_deg) and math.isfinite(v.distance_m)]
     if not shown:
-        return ""
+        return Markup()
     groups = [
         Line(lens, _stacked([np.array([[v.distance_m, v.tilt_deg]]) for v in shown if v.camera == lens]))
         for lens in LENSES
@@ -163,16 +128,16 @@ def pose_figure(views: Sequence[ViewResult]) -> str:
     return dot_chart(groups, x=x, y=y, caption=caption)
 
 
-def _per_lens(calibration: Calibration, figure: _LensFigure) -> str:
+def _per_lens(calibration: Calibration, figure: _LensFigure) -> Markup:
     views = {lens: [view for view in calibration.views if view.camera == lens] for lens in LENSES}
-    return "".join(figure(calibration, lens, views[lens]) for lens in LENSES if views[lens])
+    return Markup().join(figure(calibration, lens, views[lens]) for lens in LENSES if views[lens])
 
 
 def _camera(calibration: Calibration, lens: Lens) -> Camera:
     return calibration.rig.tele if lens == "tele" else calibration.rig.wide
 
 
-def _coverage_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+def _coverage_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> Markup:
     camera = _camera(calibration, lens)
     points_px = _stacked([view.points_px for view in views if view.is_used])
     counts = cell_counts(points_px, hw=camera.hw, cells=_COVERAGE_CELLS)
@@ -185,7 +150,7 @@ def _coverage_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewR
     return coverage_chart(points_px, counts, hw=camera.hw, caption=caption, outline_px=outline_px)
 
 
-def _residual_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+def _residual_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewResult]) -> Markup:
     hw = _camera(calibration, lens).hw
     points_px = _stacked([view.points_px for view in views if view.is_used])
     residuals_px = _stacked([view.residuals_px for view in views if view.is_used])
@@ -201,7 +166,7 @@ def _residual_figure(calibration: Calibration, lens: Lens, views: Sequence[ViewR
     return arrow_chart(points_px - residuals_px, shown, hw=hw, magnified=magnified, caption=caption)
 
 
-def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> str:
+def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> Markup:
     bars = [Bar(view.shot, view.rms_px, is_out=not view.is_used) for view in views]
     n_out = sum(bar.is_out for bar in bars)
     caption = f"{lens}: RMS distance of corners and their reprojections in each photo, px; " + (
@@ -218,11 +183,6 @@ def _calibration_std_px(quality: CalibrationQuality) -> float:
     """
     estimates = (quality.epipolar_p50_px / _MEDIAN_OF_ABS_NORMAL, quality.cross_validation_px / (2 * math.sqrt(2)))
     return max((estimate for estimate in estimates if math.isfinite(estimate)), default=0.0)
-
-
-def _depth_cell(depth_m: float, rig: StereoRig, std_px: float) -> str:
-    error_m = float(depth_error_m(np.array(depth_m), rig, disparity_std_px=std_px))
-    return depth_error_words(error_m, depth_m=depth_m)
 
 
 def _joint_distance_m(views: Sequence[ViewResult]) -> float:
