@@ -17,6 +17,7 @@ from telewide.files import open_regular, read_regular
 
 MOST_BYTES = 1 << 30
 """Of all arrays that are read together: 12 maps of a photo that is read whole."""
+_PIECE_BYTES = 1 << 24
 
 
 def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) -> tuple[NDArray[np.generic], ...]:
@@ -73,16 +74,23 @@ def read_npy(path: Path, *, most_bytes: int = MOST_BYTES) -> NDArray[np.generic]
 def _read_array(stream: IO[bytes], n_bytes: int) -> NDArray[np.generic]:
     with stream:
         version = np.lib.format.read_magic(stream)
-        if version == (1, 0):
-            shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        elif version == (2, 0):
-            shape, is_fortran, dtype = np.lib.format.read_array_header_2_0(stream)
-        else:
+        if version != (1, 0):  # later ones may have headers of gigabytes
             raise ValueError(f"an array of version {version}")
+        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
         expected = math.prod(shape) * dtype.itemsize
         if dtype.hasobject or min(shape, default=1) < 0 or expected > n_bytes:
             raise ValueError(f"an array of {shape} {dtype} in {n_bytes} bytes")
-        data = stream.read(expected)
-    return np.frombuffer(bytearray(data), dtype=dtype, count=math.prod(shape)).reshape(
-        shape, order="F" if is_fortran else "C"
-    )
+        flat = np.empty(math.prod(shape), dtype)
+        _fill(flat.view(np.uint8).data, stream)
+    return flat.reshape(shape, order="F" if is_fortran else "C")
+
+
+def _fill(data: memoryview, stream: IO[bytes]) -> None:
+    """Read piece by piece into the array itself, so that there is one copy of it."""
+    at = 0
+    while at < len(data):
+        piece = stream.read(min(_PIECE_BYTES, len(data) - at))
+        if not piece:
+            raise ValueError(f"it ends after {at} of {len(data)} bytes")
+        data[at : at + len(piece)] = piece
+        at += len(piece)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import resource
 import zipfile
 from pathlib import Path
 
@@ -70,3 +71,23 @@ def test_an_array_that_is_missing_is_named(tmp_path: Path) -> None:
         read_npz(tmp_path / "x.npz", ("b",))
     with pytest.raises(UsageError, match="does not exist"):
         read_npz(tmp_path / "y.npz", ("a",))
+
+
+def test_an_array_is_in_memory_once(tmp_path: Path) -> None:
+    """A small file may hold a gigabyte of zeros: twice as much would be more than it may ask for."""
+    np.savez_compressed(tmp_path / "x.npz", a=np.zeros(1 << 25, np.float32))
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    (array,) = read_npz(tmp_path / "x.npz", ("a",))
+    grown_bytes = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb)
+    assert array.nbytes == 1 << 27
+    assert grown_bytes < 1.5 * array.nbytes
+
+
+@pytest.mark.parametrize("version", [(2, 0), (3, 0)])
+def test_a_header_that_may_be_of_gigabytes_is_not_read(tmp_path: Path, version: tuple[int, int]) -> None:
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.zeros(3), version=version)
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        archive.writestr("a.npy", stream.getvalue())
+    with pytest.raises(InputError, match="an array of version"):
+        read_npz(tmp_path / "x.npz", ("a",))

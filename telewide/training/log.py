@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 from telewide.errors import TelewideError
 from telewide.files import parse_json, read_regular
 
-MAX_LOG_BYTES = 1 << 28
+MAX_LOG_BYTES = 1 << 26
+_MOST_STRANGE_LINES = 1000
 
 
 @dataclass(frozen=True)
@@ -37,17 +39,22 @@ def read_log(path: Path) -> tuple[LogLine, ...]:
     """Read a log; lines that were cut off, or are something else, are passed over.
 
     Args:
-        path: the log; one that does not exist or cannot be read has no lines.
+        path: the log; one that does not exist or cannot be read has no lines, nor what follows a thousand strange ones.
     """
     try:
-        text = read_regular(path, most_bytes=MAX_LOG_BYTES).decode("utf-8", errors="replace")
+        data = read_regular(path, most_bytes=MAX_LOG_BYTES)
     except TelewideError:
         return ()
-    return tuple(_parsed(text.split("\n")))
+    return tuple(_parsed(BytesIO(data)))
 
 
-def _parsed(lines: Iterable[str]) -> Iterable[LogLine]:
-    for line in lines:
+def _parsed(lines: Iterable[bytes]) -> Iterable[LogLine]:
+    n_strange = 0
+    for encoded in lines:
+        line = encoded.decode("utf-8", errors="replace").rstrip("\n")
+        n_strange += 1
+        if n_strange > _MOST_STRANGE_LINES:
+            return
         try:
             entry = parse_json(line)
             if not isinstance(entry, dict):
@@ -55,6 +62,7 @@ def _parsed(lines: Iterable[str]) -> Iterable[LogLine]:
             losses, judgement = entry.get("losses", {}), entry.get("judgement", {})
             stage, index, step = entry["stage"], entry.get("stage_index", 0), entry["step"]
             if isinstance(stage, str) and _is_count(index) and _is_count(step):
+                n_strange -= 1
                 yield LogLine(
                     stage=stage,
                     stage_index=index,

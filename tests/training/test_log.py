@@ -43,3 +43,10 @@ def test_a_line_that_cannot_be_read_is_passed_over(tmp_path: Path, line: str) ->
 def test_a_log_that_is_not_there_has_no_lines(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     assert read_log(tmp_path / "pipe") == read_log(tmp_path / "none") == ()
+
+
+def test_a_file_that_is_no_log_is_not_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    line = '{"stage": "rehearsal", "step": 1}\n'
+    path.write_text(line + 999 * "?\n" + line + "?\n" + "?\n" + line)
+    assert len(read_log(path)) == 2
