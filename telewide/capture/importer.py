@@ -35,6 +35,8 @@ FORMAT = 1
 PAIR_FILE = "pair.json"
 # Pixel phones: PXL_1.RAW-01.COVER.jpg is the twin of PXL_1.RAW-02.ORIGINAL.dng.
 _TWIN_MARK = re.compile(r"\.RAW-\d+.*$", re.IGNORECASE)
+_MAX_DEPTH = 40
+_TOO_DEEP = f"the folder lies {_MAX_DEPTH} levels deep; what it holds is not looked at"
 
 # Names that mean something else in a folder of captures.
 _TAKEN_NAMES = frozenset({*VIEWS, TRUTH, FACTS_FILE})
@@ -148,25 +150,29 @@ def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]
         raise UsageError(f"{dcim} is a file; the folder with the phone's photos was expected")
     if captures.exists() and not captures.is_dir():
         raise UsageError(f"{captures} is a file; a folder for the captures was expected")
-    if dcim.resolve() == captures.resolve():
+    if os.path.realpath(dcim) == os.path.realpath(captures):
         raise UsageError(f"{dcim} is both where photos come from and where captures go", hint="name two folders")
-    files: dict[Path, Path] = {}
+    files: dict[str, Path] = {}
     closed: list[Unpaired] = []
 
     def tell(error: OSError) -> None:
         reason = f"the folder cannot be opened: {error.strerror or error}"
         closed.append(Unpaired(RollPhoto(Path(error.filename), PhotoFacts("unknown")), reason))
 
-    entered = {captures.resolve(), dcim.resolve()}
+    # Unlike Path.resolve, realpath takes a link to itself as it is: reading it says what is wrong.
+    entered = {os.path.realpath(captures), os.path.realpath(dcim)}
     for folder, below, names in os.walk(dcim, onerror=tell, followlinks=True):
         found, below[:] = sorted(below), []
+        if len(Path(folder).parts) - len(dcim.parts) >= _MAX_DEPTH:
+            closed.append(Unpaired(RollPhoto(Path(folder), PhotoFacts("unknown")), _TOO_DEEP))
+            continue
         for name in found:
-            place = (Path(folder) / name).resolve()
+            place = os.path.realpath(Path(folder) / name)
             if not name.startswith(".") and place not in entered:
                 entered.add(place)
                 below.append(name)
         for name in sorted(filter(_is_photo_name, names)):
-            files.setdefault((Path(folder) / name).resolve(), Path(folder) / name)
+            files.setdefault(os.path.realpath(Path(folder) / name), Path(folder) / name)
     if not files:
         told = "".join(f"; {one.photo.path}: {one.reason}" for one in closed)
         raise InputError(f"{dcim} holds no photos{told}", hint="name the folder of the camera roll, often called DCIM")
@@ -292,7 +298,7 @@ def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> dic
 
 def _has_linked(source: Path, link: Path) -> bool:
     try:
-        os.link(source.resolve(), link)  # the photo itself where the roll holds a symbolic link
+        os.link(os.path.realpath(source), link)  # the photo itself where the roll holds a symbolic link
     except OSError:  # another file system, or one without links
         return False
     return True

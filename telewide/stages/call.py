@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -103,7 +104,7 @@ def begun(
 
 
 def _refuse_captures_as_run(captures_root: Path, folder: RunFolder) -> None:
-    if folder.root.resolve() == captures_root.resolve():
+    if os.path.realpath(folder.root) == os.path.realpath(captures_root):
         raise UsageError(
             f"{captures_root} holds the captures; a run needs a folder of its own", hint="name another one"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -130,7 +131,7 @@ def _refuse_the_photos_folder(call: Call, out: Path) -> None:
     """Results among the photos would be taken for captures, and captures for results."""
     photos = {call.captures.root, *(capture.tele_path.parent for capture in call.captures.captures)}
     places = {out, *(out / capture.name for capture in call.captures.captures)}
-    if {path.resolve() for path in photos} & {path.resolve() for path in places}:
+    if {os.path.realpath(path) for path in photos} & {os.path.realpath(path) for path in places}:
         raise UsageError(f"{out} holds the captures; the results need another folder", hint="name one with --out")
 
 

@@ -300,3 +300,18 @@ def test_a_film_behind_a_jpeg_has_no_scans(tmp_path: Path) -> None:
         b"\xff\xd8\xff\xfe" + struct.pack(">H", 2002) + 1000 * b"\xff\xda" + progressive_jpeg(n_scans=9)[2:]
     )
     assert read_image(path).shape == (64, 64, 3)
+
+
+def test_a_roll_of_links_to_themselves_and_of_folders_without_end_is_looked_through(tmp_path: Path) -> None:
+    roll = tmp_path / "roll"
+    roll.mkdir()
+    (roll / "a.jpg").symlink_to("a.jpg")
+    (roll / "again").symlink_to(".")
+    (roll / "itself").symlink_to("itself")
+    (roll / Path(*["d"] * 60)).mkdir(parents=True)
+    with bounded():
+        plan = plan_import(roll, tmp_path / "captures", choice=LensChoice())
+    told = {one.photo.path.name: one.reason for one in plan.unpaired}
+    assert set(told) == {"a.jpg", "d"}
+    assert "cannot be read" in told["a.jpg"]
+    assert "40 levels deep" in told["d"]
