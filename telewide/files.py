@@ -36,7 +36,7 @@ from telewide.ranges import MAX_FILE_BYTES
 Content = TypeVar("Content")
 
 MAX_YAML_BYTES = 1 << 18
-MAX_JSON_BYTES = 1 << 26
+MAX_JSON_BYTES = 1 << 24
 MAX_DEPTH = 40
 MAX_YAML_NODES = 50_000
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -336,17 +336,33 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     temporary = path.with_name(temporary_name(path.suffix))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(path.parent)
-        yield temporary
-        _flush_to_disk(temporary)
-        temporary.replace(path)
-        _flush_folder(path.parent)
-    except OSError as error:
-        raise _write_error(path, error) from error
+        with changing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            remove_leftovers(path.parent)
+            yield temporary
+            _flush_to_disk(temporary)
+            temporary.replace(path)
+            _flush_folder(path.parent)
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+@contextmanager
+def changing(path: Path) -> Iterator[None]:
+    """Say what is in the way where a file or folder cannot be written, moved or removed.
+
+    Args:
+        path: to be named.
+
+    Raises:
+        MissingPartError: the disk is full.
+        UsageError: the place cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise _write_error(path, error) from error
 
 
 def temporary_name(suffix: str) -> str:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from telewide.errors import InputError, UsageError
-from telewide.files import remove_leftovers, temporary_name
+from telewide.errors import InputError
+from telewide.files import changing, remove_leftovers, temporary_name
 
 try:
     import fcntl
@@ -50,16 +50,17 @@ def append_line(path: Path, line: str) -> None:
 
     Raises:
         InputError: it is a link.
+        MissingPartError: the disk is full.
         UsageError: it cannot be written.
     """
     if path.is_symlink():
         raise InputError(f"{path} is a link; nothing is written through links", hint="remove the link")
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    # A pipe, which has no writer to wait for, is no regular file either.
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    with changing(path):
+        descriptor = os.open(path, flags, 0o666)
         with os.fdopen(descriptor, "a", encoding="utf-8") as stream:
             stream.write(f"{line}\n")
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 @contextmanager
@@ -73,15 +74,14 @@ def fresh_folder(parent: Path) -> Iterator[Path]:
         The folder, of a name nobody can have foreseen.
 
     Raises:
+        MissingPartError: the disk is full.
         UsageError: the place cannot be written.
     """
     folder = parent / temporary_name(".partial")
-    try:
+    with changing(parent):
         parent.mkdir(parents=True, exist_ok=True)
         remove_leftovers(parent)
         folder.mkdir()
-    except OSError as error:
-        raise UsageError(f"{parent} cannot be written: {error.strerror or error}") from error
     try:
         yield folder
     finally:
@@ -97,14 +97,13 @@ def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
         waiting: is told when there is something to wait for.
 
     Raises:
+        MissingPartError: the disk is full.
         UsageError: the folder cannot be made.
     """
     made = [place for place in (folder, *folder.parents) if not place.exists()]
-    try:
+    with changing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be made: {error.strerror or error}") from error
     try:
         _lock(descriptor, folder, waiting)
         yield

@@ -148,3 +148,25 @@ def test_a_pipe_stops_no_command(clean: Path, tmp_path: Path, monkeypatch: pytes
     os.mkfifo(root / place)
     codes = call_every_command(root, monkeypatch)
     assert set(codes.values()) <= {0, 2, 3, 4}, codes
+
+
+def test_what_stands_in_the_way_ends_no_command(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files in the places of folders, folders in the places of files, and links to themselves."""
+    root = copied(clean, tmp_path)
+    for place in ("run/pairs/000", "run/depth/001", "captures/002", "roll/c"):
+        (root / place).parent.mkdir(parents=True, exist_ok=True)
+        (root / place).write_text("in the way")
+    for place in (
+        *("run/pairs/001/pair.json", "run/pairs/001/tele.png", "run/pairs/001/labels_0_32.pfm", "run/run.json"),
+        *("run/depth/000/preview.png", "run/train/state.pt", "run/train/log.jsonl", "run/train/weights.safetensors"),
+        *("captures/000/truth.pfm", "roll/d.jpg", "run/report.html"),
+    ):
+        (root / place).unlink(missing_ok=True)
+        (root / place).mkdir(parents=True)
+        (root / place / "mine").write_text("in the way")
+    for place in ("captures/003", "roll/e.jpg", "roll/f", "captures/001/pair.json"):
+        (root / place).symlink_to(Path(place).name)
+    codes = call_every_command(root, monkeypatch)
+    assert set(codes.values()) <= {0, 2, 3, 4}, codes
+    assert (root / "run/depth/001").read_text() == "in the way"
+    assert (root / "run/depth/000/preview.png/mine").read_text() == "in the way"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, MissingPartError, UsageError
 from telewide.files import temporary_name, write_text
 from telewide.folders import alone_in, append_line, fresh_folder, refuse_links
 
@@ -104,3 +104,15 @@ def test_a_folder_nothing_was_written_into_is_not_left(tmp_path: Path) -> None:
     with alone_in(tmp_path / "run", waiting=pytest.fail):
         (tmp_path / "run" / "a").touch()
     assert (tmp_path / "run" / "a").exists()
+
+
+def test_a_pipe_in_the_place_of_a_log_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "log.jsonl")
+    with pytest.raises(UsageError, match=r"log\.jsonl cannot be written"):
+        append_line(tmp_path / "log.jsonl", "a line")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_is_a_missing_part_also_where_a_line_is_appended() -> None:
+    with pytest.raises(MissingPartError, match="No space left"):
+        append_line(Path("/dev/full"), "a line")

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from telewide.depth.export import NPZ_NAME
 from telewide.errors import TelewideError, UsageError
-from telewide.files import read_json, temporary_name, write_text
+from telewide.files import changing, read_json, temporary_name, write_text
 
 FORMAT = 4
 KEPT_NAME = "depth.json"
@@ -132,7 +132,16 @@ def put_in_place(staged: Path, folder: Path) -> None:
     Args:
         staged: folder with the new files, ``depth.json`` among them, beside the other one.
         folder: of the capture; need not be there.
+
+    Raises:
+        MissingPartError: the disk is full.
+        UsageError: something else lies in that place, or it cannot be written.
     """
+    with changing(folder):
+        _put_in_place(staged, folder)
+
+
+def _put_in_place(staged: Path, folder: Path) -> None:
     if not os.path.lexists(folder):
         staged.rename(folder)
         return

@@ -37,13 +37,14 @@ from telewide.correction.verdict import (
     inspect_pair,
 )
 from telewide.errors import InputError, QualityError, TelewideError, UsageError, within_memory
-from telewide.files import fingerprint, read_json, read_regular, replacing, write_text
+from telewide.files import changing, fingerprint, read_json, read_regular, replacing, write_text
 from telewide.folders import refuse_links
 from telewide.matching.window import Window
 from telewide.npz import read_npz
 from telewide.plain import from_plain
 from telewide.points.held_out import HeldOut
 from telewide.points.matches import find_matches
+from telewide.ranges import MAX_DISPARITY_PX, MAX_SIDE_PX
 from telewide.recipe import Recipe
 from telewide.stages.align import (
     Alignment,
@@ -200,9 +201,10 @@ def _prepare_pair(
         focal_lengths_mm=(focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path)),
     )
     report, corrected = shot.report, shot.corrected
-    # Whatever happens until the new record is written, the old one must not vouch for new files.
-    (folder / RECORD_NAME).unlink(missing_ok=True)
-    _write_pair(folder, corrected)
+    with changing(folder):
+        # Whatever happens until the new record is written, the old one must not vouch for new files.
+        (folder / RECORD_NAME).unlink(missing_ok=True)
+        _write_pair(folder, corrected)
     blur = fit_blur(corrected.pair.tele, corrected.pair.wide, corrected.matches_fit)
     content = {
         "key": key,
@@ -344,6 +346,8 @@ def _read_kept(
         if any(fingerprint(folder / name) != content["files_sha256"][name] for name in _files_of_pair(rig)):
             return None
         report = from_plain(PairReport, content["report"])
+        if max(abs(report.disparity_p02_px), abs(report.disparity_p98_px)) > MAX_DISPARITY_PX:
+            raise ValueError("disparities of no pair")
         ref_px, src_px = _read_held_out(folder / MATCHES_NAME)
         blur = None if content["blur"] is None else from_plain(BlurEstimate, content["blur"])
         alignment = None
@@ -366,14 +370,14 @@ def _files_of_pair(rig: StoredRig | None) -> tuple[str, ...]:
 
 
 def _read_held_out(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    ref_px, src_px = (
-        np.asarray(points, dtype=np.float64)
-        for points in read_npz(path, ("held_out_ref_px", "held_out_src_px"), most_bytes=_MOST_BYTES_OF_MATCHES)
-    )
+    stored = read_npz(path, ("held_out_ref_px", "held_out_src_px"), most_bytes=_MOST_BYTES_OF_MATCHES)
+    if any(points.dtype.kind != "f" for points in stored):
+        raise ValueError("matches that are no real numbers")
+    ref_px, src_px = (np.asarray(points, dtype=np.float64) for points in stored)
     if ref_px.shape != src_px.shape or ref_px.ndim != 2 or ref_px.shape[1] != 2:
         raise ValueError("matches are two times N points")
-    if not (np.isfinite(ref_px).all() and np.isfinite(src_px).all()):
-        raise ValueError("matches that are no numbers")
+    if not (np.abs(ref_px) <= MAX_SIDE_PX).all() or not (np.abs(src_px) <= MAX_SIDE_PX).all():
+        raise ValueError("matches that lie in no picture")
     return ref_px, src_px
 
 

@@ -23,6 +23,7 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
+from telewide.files import changing
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
@@ -294,7 +295,8 @@ def forget(run: RunFolder) -> None:
     if run.train.is_dir():
         for path in sorted(run.train.iterdir(), key=lambda path: path.name == run.training_record.name):
             if _OWN_FILES.fullmatch(path.name) and not path.is_dir():
-                path.unlink()
+                with changing(path):
+                    path.unlink()
 
 
 def _rows(prepared: PreparedSet, record: TrainingRecord, network: StereoNetwork) -> list[ContactRow]:

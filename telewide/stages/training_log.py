@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from telewide.files import write_text
+from telewide.files import changing, write_text
 from telewide.folders import append_line
 from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
 from telewide.stages.run_folder import RunFolder
@@ -75,7 +75,8 @@ class LoggedReporter:
     def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
         if not self.is_writer:
             return
-        self.run.train.mkdir(parents=True, exist_ok=True)
+        with changing(self.run.train):
+            self.run.train.mkdir(parents=True, exist_ok=True)
         line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
         append_line(self.run.training_log, json.dumps(line))
 

@@ -82,3 +82,12 @@ def test_files_of_others_stay_whatever_a_record_lists(tmp_path: Path) -> None:
     assert {path.name for path in folder.iterdir()} == {"mine.txt", "bokeh.jpg", KEPT_NAME}
     with pytest.raises(UsageError, match=r"bokeh\.jpg"):
         refuse_foreign_files(folder, ("bokeh.jpg", KEPT_NAME))
+
+
+def test_a_file_in_the_place_of_a_captures_folder_is_a_usage_error(tmp_path: Path) -> None:
+    (tmp_path / "000").write_text("mine")
+    (tmp_path / "staged").mkdir()
+    write_kept(tmp_path / "staged", KeptDepth((), (), {}), key=KEY)
+    with pytest.raises(UsageError, match="000 cannot be written: Not a directory"):
+        put_in_place(tmp_path / "staged", tmp_path / "000")
+    assert (tmp_path / "000").read_text() == "mine"

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import telewide.stages.prepare
 from telewide.capture.images import read_image, read_pfm, write_image
 from telewide.capture.pair import find_captures
 from telewide.errors import InputError, QualityError
+from telewide.files import fingerprint
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.labels import write_labels
@@ -194,6 +196,7 @@ def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: P
         ("pair.json", '"verdict": ', '"verdict": [], "v": '),
         ("pair.json", '"colour_ratio": [', '"colour_ratio": [[], '),
         ("pair.json", '"scale": ', '"scale": [], "s": '),
+        ("pair.json", '"disparity_p98_px": ', '"disparity_p98_px": 1e300, "disparity_p02_px": '),
         ("matches.npz", "", "garbage"),
         ("tele.png", "", "garbage"),
     ],
@@ -208,6 +211,22 @@ def test_a_pair_that_cannot_be_read_is_made_again(
     path.write_bytes(whole.replace(before.encode(), after.encode()) if before else after.encode())
     again = prepared(captures, tmp_path / "run").pairs[0]
     assert again.report == made.report
+    assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    "points", [np.full((9, 2), 1e300), np.full((9, 2), np.nan), np.ones((9, 2), bool), np.ones((9, 2), complex)]
+)
+def test_matches_that_lie_in_no_picture_are_made_again(
+    captures: Path, tmp_path: Path, points: NDArray[np.generic]
+) -> None:
+    """Though the record vouches for them."""
+    made = prepared(captures, tmp_path / "run").pairs[0]
+    path, record = (made.capture.tele_path.with_name(name) for name in ("matches.npz", "pair.json"))
+    whole, before = path.read_bytes(), fingerprint(path)
+    np.savez(path, held_out_ref_px=points, held_out_src_px=points, fitted_ref_px=points, fitted_src_px=points)
+    record.write_text(record.read_text().replace(before, fingerprint(path)))
+    prepared(captures, tmp_path / "run")
     assert path.read_bytes() == whole
 
 
