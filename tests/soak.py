@@ -65,31 +65,38 @@ class Call:
     """A command that runs in a process, and a group, of its own."""
 
     pid: int
-    said: Path
+    heard: int
     begun_s: float
 
     def end(self) -> tuple[int, str, float, float]:
         """Wait for it; exit code, what was said, seconds, and peak memory in MB."""
+        with os.fdopen(self.heard, encoding="utf-8", errors="replace") as stream:
+            said = stream.read()
         _, status, usage = os.wait4(self.pid, 0)
-        seconds = time.monotonic() - self.begun_s
-        return os.waitstatus_to_exitcode(status), self.said.read_text(), seconds, usage.ru_maxrss / 1024
+        return os.waitstatus_to_exitcode(status), said, time.monotonic() - self.begun_s, usage.ru_maxrss / 1024
 
 
 def started(work: str | Callable[[], object], folder: Path, *, first: Callable[[], object] | None = None) -> Call:
     """Begin a command, or another piece of work, in a folder."""
-    said = folder.with_name(f"{folder.name}-said-{time.monotonic_ns()}")
+    heard, told = os.pipe()
     begun_s = time.monotonic()
     pid = os.fork()
     if pid == 0:
-        os._exit(_as_child(work, folder, said, first))
-    return Call(pid, said, begun_s)
+        code = 1
+        try:
+            code = _as_child(work, folder, told, first)
+        finally:  # nothing of the caller may run on here
+            os._exit(code)
+    os.close(told)
+    return Call(pid, heard, begun_s)
 
 
-def _as_child(work: str | Callable[[], object], folder: Path, said: Path, first: Callable[[], object] | None) -> int:
+def _as_child(work: str | Callable[[], object], folder: Path, told: int, first: Callable[[], object] | None) -> int:
     os.setsid()
     os.chdir(folder)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT), sys.stderr.fileno())
+    os.dup2(told, sys.stderr.fileno())
+    os.close(told)
     try:
         if first is not None:
             first()
