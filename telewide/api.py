@@ -13,6 +13,7 @@ rounding is the only difference. Examples start in a checkout of telewide.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -172,11 +173,11 @@ def rectify(
     recipe = recipe or load_recipe(DEFAULT_RECIPE)
     facts = facts or CaptureFacts(rectified=True)
     if rig is None:
-        pair, _ = at_working_size(pair_from_photos(photos, facts=facts), recipe.working_width_px)
-        return correct_shot(pair, None, facts=facts, recipe=recipe)
+        pair, scale = at_working_size(pair_from_photos(photos, facts=facts), recipe.working_width_px)
+        return correct_shot(pair, None, facts=facts, recipe=recipe, scale=scale)
     rectified, alignment = align_photos(
         photos,
-        rig=rig.rig,
+        rig=rig.as_held(photos.orientations, tele_hw=photos.tele.shape[:2]),
         working_width_px=recipe.working_width_px,
         facts=ShotFacts(seconds_between),
         seed=recipe.seed,
@@ -228,7 +229,8 @@ def estimate_depth(
     matcher = read_matcher(Path(weights) if weights is not None else None, method=method, device=device)
     views = shot.corrected.pair
     disparity = matcher.match(views.tele, views.wide, window=_window(shot, recipe, matcher))
-    geometry = _geometry(shot, rig)
+    geometry = _geometry(shot, rig, matcher=matcher)
+    facts = replace(facts, wide_side=shot.wide_side)
     return depth_on_photo(disparity, photos.tele, name=photos.name, facts=facts, shot=geometry)[0]
 
 
@@ -239,10 +241,11 @@ def _window(shot: CorrectedShot, recipe: Recipe, matcher: Matcher) -> Window:
     return measured if matcher.window is None else joined_window((measured, matcher.window))
 
 
-def _geometry(shot: CorrectedShot, rig: StoredRig | None) -> ShotGeometry | None:
+def _geometry(shot: CorrectedShot, rig: StoredRig | None, *, matcher: Matcher) -> ShotGeometry | None:
     if shot.alignment is None or rig is None:
         return None
     precision = shot_precision(shot.alignment, of_set=[shot.alignment], rig=rig)
+    precision = replace(precision, is_match_known=matcher.is_confidence_measured)
     return ShotGeometry(shot.alignment.geometry, precision, shot.alignment.moved)
 
 

@@ -42,6 +42,7 @@ def from_plain(cls: type[T], plain: object) -> T:
 
 def _checked(hint: object, value: object, name: str) -> object:
     origin, arguments = get_origin(hint), get_args(hint)
+    origin = get_origin(getattr(origin, "__value__", None)) or origin  # numpy 2.5 names its NDArray by a type alias
     if origin in (Union, types.UnionType):
         if value is None and types.NoneType in arguments:
             return None

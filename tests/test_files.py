@@ -9,6 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -57,7 +58,6 @@ SLIPS = {
     "brackets": "[" * 100_000,
     "braces": "{a: " * 10_000,
     "a bomb of aliases": bomb(link="list"),
-    "a bomb of merges": bomb(link="merge"),
     "a chain of aliases": "- &a1 [x]\n" + "".join(f"- &a{i} [*a{i - 1}]\n" for i in range(2, 2000)),
     "a list as key": "? [1]\n: 2",
     "two documents": "--- a\n--- b",
@@ -72,6 +72,16 @@ def test_a_slip_in_yaml_is_one_message(text: str) -> None:
     with pytest.raises(InputError, match=r"^text: ") as caught:
         plain(text)
     assert len(caught.value.message) < 200
+    assert time.monotonic() - begun_s < 10
+
+
+def test_a_bomb_of_merges_is_refused_or_harmless() -> None:
+    """PyYAML 6.0.4 copies a mapping that is merged nine times once."""
+    begun_s = time.monotonic()
+    with suppress(InputError):
+        content = plain(bomb(link="merge"))
+        assert isinstance(content, dict)
+        assert sum(len(each) for each in content.values()) < 100
     assert time.monotonic() - begun_s < 10
 
 

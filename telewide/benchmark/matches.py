@@ -7,7 +7,7 @@ on; those of the captures no training has seen, what a new photo would get.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +93,7 @@ def benchmark_matches(
     names = [item.capture.name for item in prepared.pairs]
     sets = {ALL: names, HELD_OUT: [name for name in names if name in unseen]}
     rows = tuple(
-        _row(entrant.name, label, [errors_px[entrant.name][name] for name in chosen])
+        _row(entrant.name, _label(label, entrant), [errors_px[entrant.name][name] for name in chosen])
         for label, chosen in sets.items()
         if chosen
         for entrant in entrants
@@ -132,7 +132,11 @@ def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
 
 
 def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> FloatArray:
-    pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
+    pair = (
+        read_pair(item.capture)
+        if entrant.is_corrected
+        else _uncorrected(item, replace(facts, wide_side=item.wide_side))
+    )
     disparity = entrant.contender.match(pair.tele, pair.wide, window=window)
     return match_errors_px(disparity.disparity_px, item.held_out)
 
@@ -150,6 +154,11 @@ def _uncorrected(item: PreparedPair, facts: CaptureFacts) -> RectifiedPair:
 def _row(matcher: str, captures: str, errors_px: Sequence[FloatArray]) -> dict[str, object]:
     summary = summarise_errors(np.concatenate(errors_px))
     return {"matcher": matcher, "captures": captures, **summary, "matches": int(summary["matches"])}
+
+
+def _label(captures: str, entrant: Entrant) -> str:
+    """The captures of a row; a training was stopped where it did best on those that it held out."""
+    return f"{captures}, chose the weights" if captures == HELD_OUT and entrant.contender.window else captures
 
 
 def _line(row: Mapping[str, object]) -> list[str]:

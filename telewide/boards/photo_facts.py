@@ -13,12 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from telewide.boards.shots import BoardShot
-from telewide.capture.exif import PhotoFacts, read_photo_facts
+from telewide.capture.exif import UPRIGHT_DEG, PhotoFacts, read_photo_facts
 from telewide.capture.lenses import Lens, find_lenses, lens_of, why_cropped
 from telewide.errors import InputError, TelewideError
-
-# Degrees clockwise from the stored photo to the upright one (CIPA DC-008); phones mirror no photo.
-_UPRIGHT_DEG = {1: 0, 6: 90, 3: 180, 8: 270}
 
 # Of tele's photo and of wide's; None where there is none.
 _Held = tuple[int | None, int | None]
@@ -106,7 +103,7 @@ def _with_turns(shots: Sequence[BoardShot], facts: Mapping[Path, PhotoFacts]) ->
 
 def _held_deg(shot: BoardShot, facts: Mapping[Path, PhotoFacts]) -> _Held:
     tele, wide = (
-        None if path is None else _UPRIGHT_DEG.get(facts[path].orientation) for path in (shot.tele_path, shot.wide_path)
+        None if path is None else UPRIGHT_DEG.get(facts[path].orientation) for path in (shot.tele_path, shot.wide_path)
     )
     return tele, wide
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.result import Calibration, CameraStd, TransformStd
 from telewide.calibration.rig_sheet import CameraSheet, CameraStdSheet, CheckSheet, QualitySheet, RigSheet, RigStdSheet
+from telewide.capture.exif import UPRIGHT_DEG
 from telewide.errors import InputError, UsageError
 from telewide.files import read_yaml, write_text
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
@@ -41,6 +42,7 @@ class RigFacts:
 
     Attributes:
         image_pipeline: identity of what made the pictures from the sensor; None where unknown.
+        orientations: EXIF orientations of its tele and its wide photos, in which the rig stands; None where unknown.
         focus_distance_m: where the photos were focused; None where unknown.
         scale_verified: whether the board, or a distance, was measured; otherwise metres are nominal.
         board: name of the board; None without one.
@@ -50,6 +52,7 @@ class RigFacts:
     """
 
     image_pipeline: str | None = None
+    orientations: tuple[int, int] | None = None
     focus_distance_m: float | None = None
     scale_verified: bool = False
     board: str | None = None
@@ -81,6 +84,32 @@ class StoredRig:
     facts: RigFacts
     n_joint_views: int = 0
     left_out: tuple[str, ...] = ()
+
+    def as_held(self, orientations: tuple[int, int] | None, *, tele_hw: tuple[int, int]) -> StereoRig:
+        """The rig as it stands in photos of a phone that was held otherwise than for the calibration.
+
+        Upside down, wide stands on the other side of tele, and both principal points have moved.
+
+        Args:
+            orientations: EXIF orientations of the tele and the wide photo; None where unknown.
+            tele_hw: size of the tele photo as it was read; a turn by 90 degrees that it contradicts is not believed, as
+                programs that turn a photo for good may leave its orientation out.
+
+        Returns:
+            The rig; as it was made where either side does not know how the phone was held.
+        """
+        made = self.facts.orientations
+        known = None not in {UPRIGHT_DEG.get(each) for each in (*(made or ()), *(orientations or ()))}
+        if made is None or orientations is None or not known:
+            return self.rig
+        tele_deg, wide_deg = (
+            (UPRIGHT_DEG[found] - UPRIGHT_DEG[own]) % 360 for found, own in zip(orientations, made, strict=True)
+        )
+        if not (tele_deg or wide_deg):
+            return self.rig
+        turned = self.rig.turned(tele_deg=tele_deg, wide_deg=wide_deg)
+        is_tall, is_made_tall = tele_hw[0] > tele_hw[1], turned.tele.hw[0] > turned.tele.hw[1]
+        return self.rig if tele_deg % 180 and is_tall != is_made_tall else turned
 
 
 def stored_rig(calibration: Calibration, *, facts: RigFacts) -> StoredRig:

@@ -22,6 +22,7 @@ from telewide.ranges import (
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Orientation = Annotated[int, Field(ge=1, le=8)]
 Row = tuple[Number, Number, Number]
 
 _ROTATION_TOLERANCE = 1e-6
@@ -127,6 +128,7 @@ class RigSheet(Options):
     source: Literal["boards", "scenes"] = "boards"
     board: str | None = None
     image_pipeline: str | None = None
+    orientations: tuple[Orientation, Orientation] | None = None
     focus_distance_m: Positive | None = None
     scale_verified: bool = False
     is_scale_known: bool = True

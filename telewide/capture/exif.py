@@ -39,6 +39,9 @@ _HEAD_BYTES = 64
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
 _KINDS = {"JPEG": "jpeg", "WEBP": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
 
+UPRIGHT_DEG: Mapping[int, int] = {1: 0, 6: 90, 3: 180, 8: 270}
+"""Degrees clockwise from the stored photo to the upright one, by EXIF orientation; phones mirror no photo."""
+
 Tags = Mapping[int, object]
 
 

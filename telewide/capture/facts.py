@@ -23,6 +23,7 @@ from telewide.options import Options, parse_options
 from telewide.ranges import MAX_ASYMMETRY, MAX_BASELINE_M, MAX_CENTRE_SIDES, MAX_FOCAL_SIDES, MAX_SIDE_PX
 
 FACTS_FILE = "captures.yaml"
+WideSide = Literal["right", "left"]
 
 
 class CaptureFacts(Options):
@@ -38,6 +39,9 @@ class CaptureFacts(Options):
     """Focal length of tele over that of wide, in pixels of the photos as captured, >= 1."""
     reference: Literal["tele"] = "tele"
     """The view the depth is for; always tele so far."""
+    wide_side: WideSide | None = None
+    """The side of tele on which wide stands in the rectified photos as they are given; None for right, unless a stated
+    `doffs_px` contradicts."""
     rotated_deg: Literal[0, 90, 180, 270] = 0
     """How far the photos were turned counter-clockwise to make the baseline horizontal."""
     baseline_m: float | None = None

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.capture.exif import read_photo_facts
 from telewide.capture.facts import CaptureFacts, read_facts
 from telewide.capture.images import read_image, read_pfm, resize_bicubic
 from telewide.capture.layout import Capture, CaptureSet, Problem, find_captures
@@ -50,16 +51,20 @@ class PhotoPair:
         name: of the capture.
         tele: (h, w, 3) RGB float32 in [0, 1].
         wide: likewise.
+        orientations: EXIF orientations of the two, in which a phone says how it was held; None where unknown.
     """
 
     name: str
     tele: FloatImage
     wide: FloatImage
+    orientations: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
 class RectifiedPair:
     """Two views of one size whose corresponding points lie on (nearly) the same row.
+
+    What is nearer has the larger disparity: photos whose wide lens stands to the left of tele's are mirrored.
 
     Attributes:
         name: of the capture.
@@ -70,6 +75,12 @@ class RectifiedPair:
     name: str
     tele: FloatImage
     wide: FloatImage
+
+    @property
+    def mirrored(self) -> RectifiedPair:
+        """The pair with its left and right exchanged, and so the sign of its disparities."""
+        tele, wide = (np.ascontiguousarray(view[:, ::-1]) for view in (self.tele, self.wide))
+        return RectifiedPair(self.name, tele, wide)
 
 
 def read_photos(capture: Capture) -> PhotoPair:
@@ -92,7 +103,8 @@ def read_photos(capture: Capture) -> PhotoPair:
         raise InputError(
             f"{capture.tele_path} and {capture.wide_path} are the same picture; two different photos were expected"
         )
-    return PhotoPair(capture.name, tele, wide)
+    held = tuple(read_photo_facts(path).orientation for path in (capture.tele_path, capture.wide_path))
+    return PhotoPair(capture.name, tele, wide, orientations=(held[0], held[1]))
 
 
 def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> RectifiedPair:
@@ -100,7 +112,8 @@ def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> Rectifi
 
     Args:
         capture: what to read.
-        facts: what its owner states; a stated asymmetry that contradicts the sizes is warned of.
+        facts: what its owner states: of a wide lens on the left the pair is mirrored, and a stated asymmetry that
+            contradicts the sizes is warned of.
 
     Returns:
         The pair.
@@ -122,7 +135,8 @@ def pair_from_photos(
     Args:
         photos: tele, and wide of its size or shrunk by one factor.
         labels: what messages call the two photos.
-        facts: what their owner states; a stated asymmetry that contradicts the sizes is warned of.
+        facts: what their owner states: of a wide lens on the left the pair is mirrored, and a stated asymmetry that
+            contradicts the sizes is warned of.
 
     Returns:
         The pair.
@@ -134,7 +148,8 @@ def pair_from_photos(
     if tele.shape != wide.shape:
         _check_factor(labels, tele, wide, facts)
         wide = resize_bicubic(wide, wh=(tele.shape[1], tele.shape[0]))
-    return RectifiedPair(photos.name, tele, wide)
+    pair = RectifiedPair(photos.name, tele, wide)
+    return pair.mirrored if facts is not None and facts.wide_side == "left" else pair
 
 
 def read_truth(capture: Capture, *, hw: tuple[int, int] | None = None) -> FloatImage | None:

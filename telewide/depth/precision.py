@@ -45,11 +45,14 @@ class DepthPrecision:
         f_std_px: of tele's focal length, px of the tele photo.
         lens_shift_std_px: of what shifts all disparities alike, px of the tele photo: the movement of the lenses along
             the baseline, and what the rig does not know of the zero of disparity.
+        is_match_known: whether the matcher's confidence tells how sure a disparity is, as that of semi-global matching
+            does; a network's own was never held against errors.
     """
 
     baseline_std_m: float = 0.0
     f_std_px: float = 0.0
     lens_shift_std_px: float = 0.0
+    is_match_known: bool = True
 
 
 def disparity_std_px(disparity: DisparityMap, *, scale: float = 1.0) -> FloatMap:

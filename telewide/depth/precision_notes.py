@@ -91,6 +91,22 @@ def hardly_known_notes(result: DepthResult) -> tuple[str, ...]:
     )
 
 
+def without_unknown_std(result: DepthResult, *, precision: DepthPrecision) -> tuple[DepthResult, tuple[str, ...]]:
+    """Take the standard deviation away where nothing tells how sure the matches are, and say so.
+
+    Args:
+        result: of a shot with a rig.
+        precision: of that shot.
+    """
+    if precision.is_match_known or result.depth_std_m is None:
+        return result, ()
+    told = (
+        f"{result.name}: no depth_std_m: how sure a network alone is of a disparity was never measured; `method` joint "
+        "or sgm states it"
+    )
+    return replace(result, depth_std_m=None), (told,)
+
+
 def without_meaningless_metres(result: DepthResult) -> tuple[DepthResult, str | None]:
     """Take metres away that mean nothing: those of which one standard deviation is more than the depth itself.
 
@@ -111,11 +127,12 @@ def without_meaningless_metres(result: DepthResult) -> tuple[DepthResult, str | 
     return replace(result, depth_m=None, depth_std_m=None), told
 
 
-def without_depth_behind(result: DepthResult) -> tuple[DepthResult, str | None]:
+def without_depth_behind(result: DepthResult, *, has_rig: bool) -> tuple[DepthResult, str | None]:
     """Take metres away where most of them would lie behind the cameras, and say so of disparities that look like it.
 
     Args:
-        result: of photos that were rectified when they came.
+        result: of one capture.
+        has_rig: whether a rig says where the lenses stand; otherwise the photos were rectified when they came.
 
     Returns:
         The result, without such metres; and what to say of it, None where all is well.
@@ -126,15 +143,16 @@ def without_depth_behind(result: DepthResult) -> tuple[DepthResult, str | None]:
     if share < BEHIND_SHARE:
         return result, None
     side = (
-        "if wide stands on the other side of tele, near and far are exchanged: turn both photos by 180 degrees and "
-        "state rotated_deg: 180"
+        "if the phone was held otherwise than for the calibration, near and far are exchanged: photograph as you "
+        "calibrated; if all of it is far away, a measured point (`distance` X,Y,M) helps"
+        if has_rig
+        else "if wide stands to the left of tele, near and far are exchanged: state wide_side: left in captures.yaml"
     )
     if result.depth_m is None:
         return result, f"{result.name}: {share:.0%} of its disparities are negative; {side}"
-    told = (
-        f"{result.name}: no depth in metres: {share:.0%} of it would lie behind the cameras; state doffs_px, or {side}"
-    )
-    return replace(result, depth_m=None), told
+    else_px = "" if has_rig else "state doffs_px, or "
+    told = f"{result.name}: no depth in metres: {share:.0%} of it would lie behind the cameras; {else_px}{side}"
+    return replace(result, depth_m=None, depth_std_m=None), told
 
 
 def _typical_std_share(result: DepthResult) -> float | None:

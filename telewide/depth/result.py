@@ -30,7 +30,7 @@ class DepthResult:
         depth_m: (H, W) float32, m, NaN where unknown; None where K or the baseline is not known.
         depth_std_m: (H, W) float32, m, standard deviation of the depth, NaN where unknown; None without a rig.
         distortion: (n,) OpenCV coefficients of the ref photo; None where not known, empty where there is none.
-        doffs_px: ``cx_src - cx_ref``, px.
+        doffs_px: ``cx_src - cx_ref``, px; of the mirrored views where wide stands to the left of tele.
         rotated_deg: how far the photos were turned counter-clockwise before they were given (multiple of 90).
             Files keep that orientation, pictures for people are shown upright.
     """
@@ -54,14 +54,15 @@ def depth_result(name: str, disparity: DisparityMap, *, facts: CaptureFacts | No
     Args:
         name: of the capture.
         disparity: (H, W) maps, px of the ref photo.
-        facts: what ``captures.yaml`` states: focal length in px of the ref photo, baseline in m, doffs in px.
+        facts: what ``captures.yaml`` states: focal length in px of the ref photo, baseline in m, doffs in px of the
+            photos as given. Where wide stands to the left, the disparity is ``x_src - x_ref``, that of mirrored views.
 
     Returns:
         The result; metric only where focal length and baseline are both known.
     """
     if facts is None:
         return DepthResult(name=name, disparity=disparity)
-    doffs_px = facts.doffs_px or 0.0
+    doffs_px = (facts.doffs_px or 0.0) * (-1 if facts.wide_side == "left" else 1)
     depth_m = None
     if facts.f_px is not None and facts.baseline_m is not None:
         depth_m = depth_from_disparity(
@@ -95,12 +96,14 @@ def depth_result_of_rig(
         name: of the capture.
         disparity: (H, W) maps on the tele photo, as `telewide.depth.unrectify.disparity_on_tele` brings them.
         rig: the two cameras, tele at the size of the map.
-        precision: what all depths of the shot share; None for an exact rig that nothing moved.
+        precision: what all depths of the shot share; None for an exact rig that nothing moved. Where it does not know
+            how sure the matches are, the deviation is that of the rest, the least it can be.
         matched_scale: px of the views that were matched for one px of the tele photo (`RectifiedGeometry.scale`).
 
     Returns:
         The result; metric only where the rig's scale is known.
     """
+    precision = precision or DepthPrecision()
     f_px = float(rig.tele.K[0, 0])
     result = DepthResult(name=name, disparity=disparity, K=rig.tele.K, distortion=rig.tele.distortion)
     if not rig.is_scale_known:
@@ -108,10 +111,10 @@ def depth_result_of_rig(
     depth_m = depth_from_disparity(disparity.disparity_px, f_px=f_px, baseline_m=rig.baseline_m)
     std_m = depth_std_m(
         depth_m,
-        disparity_std_px(disparity, scale=matched_scale),
+        disparity_std_px(disparity, scale=matched_scale) if precision.is_match_known else np.zeros_like(depth_m),
         f_px=f_px,
         baseline_m=rig.baseline_m,
-        precision=precision or DepthPrecision(),
+        precision=precision,
     )
     in_front = _in_front(disparity, depth_m)
     return replace(result, disparity=in_front, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)

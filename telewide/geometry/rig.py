@@ -43,6 +43,22 @@ class Camera:
         scale_xy = (hw[1] / self.hw[1], hw[0] / self.hw[0])
         return replace(self, hw=hw, K=scaled_intrinsics(self.K, scale_xy=scale_xy))
 
+    def turned(self, turn_deg: int) -> Camera:
+        """The same lens for photos that lie turned clockwise by a multiple of 90 degrees, its frame turned with them.
+
+        The tangential distortion is ``2 (p . x) x + r^2 p`` of the vector ``p = (p2, p1)``, which turns as points do.
+        """
+        turn = _turn_of_frame(turn_deg)
+        height, width = self.hw
+        hw = (width, height) if turn_deg % 180 else self.hw
+        middle_px, turned_middle_px = (np.array(size[::-1]) / 2 - 0.5 for size in (self.hw, hw))
+        K = np.diag([*np.abs(turn @ np.diag(self.K)[:2]), 1.0])
+        K[:2, 2] = turn @ (self.K[:2, 2] - middle_px) + turned_middle_px
+        distortion = self.distortion.copy()
+        if len(distortion):
+            distortion[[3, 2]] = turn @ distortion[[3, 2]]
+        return Camera(hw, K, distortion)
+
     def project(self, points_m: FloatArray) -> FloatArray:
         """Points (N, 3) in this camera's frame to (N, 2) px, distortion included."""
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 1, 3)
@@ -100,11 +116,28 @@ class StereoRig:
         """Angle by which the two lenses are turned against each other."""
         return math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(self.wide_from_tele[:3, :3])) - 1) / 2))))
 
+    def turned(self, *, tele_deg: int, wide_deg: int) -> StereoRig:
+        """The same rig for photos turned clockwise by multiples of 90 degrees, their frames with them."""
+        from_tele, from_wide = np.eye(4), np.eye(4)
+        from_tele[:2, :2], from_wide[:2, :2] = _turn_of_frame(tele_deg), _turn_of_frame(wide_deg)
+        return replace(
+            self,
+            tele=self.tele.turned(tele_deg),
+            wide=self.wide.turned(wide_deg),
+            wide_from_tele=from_wide @ self.wide_from_tele @ from_tele.T,
+        )
+
     def with_baseline(self, baseline_m: float) -> StereoRig:
         """The same rig with its lenses a known distance apart."""
         wide_from_tele = self.wide_from_tele.copy()
         wide_from_tele[:3, 3] *= baseline_m / self.baseline_m
         return replace(self, wide_from_tele=wide_from_tele, is_scale_known=True)
+
+
+def _turn_of_frame(turn_deg: int) -> FloatArray:
+    """(2, 2) what a clockwise turn of the picture, x right and y down, makes of x and y; exact."""
+    quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
+    return np.asarray(np.linalg.matrix_power(quarter, turn_deg // 90 % 4))
 
 
 def rigid_transform(*, rotation: FloatArray, translation: FloatArray) -> FloatArray:

@@ -26,9 +26,11 @@ class Matcher:
         match: (ref, src, window) to the disparity of ref.
         window: disparities it was trained for, px, searched beside what the pairs need; None where it was not trained.
         doubt: what is to be said before it is used.
+        is_confidence_measured: whether its confidence was held against errors, and so tells how sure a disparity is.
     """
 
     name: str
     match: Match
     window: Window | None = None
     doubt: str | None = None
+    is_confidence_measured: bool = True

@@ -24,7 +24,7 @@ from telewide.calibration.exchanged_lenses import refuse_exchanged
 from telewide.calibration.result import Calibration
 from telewide.calibration.rig_file import RIG_FILE, RigFacts, write_rig
 from telewide.calibration.solver import calibrate_rig
-from telewide.capture.exif import common_pipeline, read_photo_facts
+from telewide.capture.exif import UPRIGHT_DEG, common_pipeline, read_photo_facts
 from telewide.capture.images import read_image
 from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, TelewideError
@@ -170,12 +170,25 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
     )
     facts = RigFacts(
         image_pipeline=pipeline,
+        orientations=_orientations(shots),
         focus_distance_m=_focus_distance_m(shots),
         scale_verified=chosen.is_measured,
         board=chosen.name,
         notes=chosen.notes,
     )
     return SolvedBoards(shots=shots, calibration=calibration, board=chosen, facts=facts, notes=notes)
+
+
+def _orientations(shots: Sequence[BoardShot]) -> tuple[int, int] | None:
+    """How the phone was held, in EXIF's words, in the shots that others are turned to; None where no photo says it."""
+    for shot in shots:
+        if shot.tele_path is None or shot.wide_path is None or shot.tele_turn_deg or shot.wide_turn_deg:
+            continue
+        with suppress(InputError):
+            tele, wide = (read_photo_facts(path).orientation for path in (shot.tele_path, shot.wide_path))
+            if {tele, wide} <= UPRIGHT_DEG.keys():
+                return tele, wide
+    return None
 
 
 def _focus_distance_m(shots: Sequence[BoardShot]) -> float | None:

@@ -112,12 +112,14 @@ class _Matched:
         captures: of the commonest photo sizes.
         scenes: their matches.
         sizes: of tele's and of wide's photos.
+        orientations: their EXIF orientations.
         notes: on captures that have no say.
     """
 
     captures: tuple[Capture, ...]
     scenes: tuple[Matches, ...]
     sizes: tuple[Hw, Hw]
+    orientations: tuple[int, int]
     notes: tuple[str, ...]
 
     @property
@@ -157,6 +159,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observe
         raise InputError(f"{error.message}{told}", hint=error.hint) from error
     facts = RigFacts(
         image_pipeline=pipeline,
+        orientations=matched.orientations,
         scale_verified=False,  # a distance that somebody states is not measured in these photos
         source="scenes",
         notes=evidence.whole.notes,
@@ -207,7 +210,7 @@ def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick
         scenes.append(scene)
         if len(scene) < MIN_SCENE_MATCHES:
             notes.append(f"{capture.name}: {len(scene)} matches, too few for a say")
-    return _Matched(tuple(alike), tuple(scenes), common, tuple(notes))
+    return _Matched(tuple(alike), tuple(scenes), common, most.orientations, tuple(notes))
 
 
 def _kind(capture: Capture) -> _Kind | None:

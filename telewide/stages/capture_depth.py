@@ -29,6 +29,7 @@ from telewide.depth.precision_notes import (
     pinned_shot,
     without_depth_behind,
     without_meaningless_metres,
+    without_unknown_std,
 )
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
@@ -196,6 +197,8 @@ def _compute(
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     truth_px = read_truth(source, hw=photo.shape[:2])
+    if truth_px is not None and shot is None and facts.wide_side == "left":
+        truth_px = -truth_px  # it is x_tele - x_wide of the photos as given
     if truth_px is not None and not np.isfinite(truth_px).any():
         metric_notes = (
             *metric_notes,
@@ -263,18 +266,24 @@ def depth_on_photo(
         working: disparity of the views that were matched.
         photo: (H, W, 3) the tele photo, RGB in [0, 1].
         name: of the capture.
-        facts: what the owner states; they count where no rig does.
+        facts: what the owner states; they count where no rig does. The views of a wide lens on the left were mirrored.
         shot: how the views lie to the photo; None for photos that were rectified when they came.
 
     Returns:
         The result, what a person should know of its metres, and why it has none where they would mean nothing.
     """
     if shot is None:
-        stated = depth_result(name, on_photo(working, photo), facts=facts)
-        result, told = without_depth_behind(stated)
+        given = _mirrored(working) if facts.wide_side == "left" else working
+        stated = depth_result(name, on_photo(given, photo), facts=facts)
+        result, told = without_depth_behind(stated, has_rig=False)
         is_withheld = stated.depth_m is not None and result.depth_m is None
         return result, () if told is None else (told,), told if is_withheld else None
     return _result_of_shot(name, working, photo, shot=shot)
+
+
+def _mirrored(disparity: DisparityMap) -> DisparityMap:
+    """Maps with left and right exchanged; the disparities stay as they are, larger where something is nearer."""
+    return DisparityMap(disparity.disparity_px[:, ::-1], disparity.confidence[:, ::-1], disparity.valid[:, ::-1])
 
 
 def _has_bokeh_of(folder: Path, disparity: Path) -> bool:
@@ -303,9 +312,13 @@ def _result_of_shot(
     result = depth_result_of_rig(
         name, disparity, rig=geometry.rig, precision=pinned.precision, matched_scale=geometry.scale
     )
-    result, withheld = without_meaningless_metres(result)
-    doubts = hardly_known_notes(result) if withheld is None else (withheld,)
-    return result, (*pinned.notes, *doubts), withheld
+    has_metres = result.depth_m is not None
+    result, doubt = without_depth_behind(result, has_rig=True)
+    if doubt is None:
+        result, doubt = without_meaningless_metres(result)
+    doubts = hardly_known_notes(result) if doubt is None else (doubt,)
+    result, unknown = without_unknown_std(result, precision=pinned.precision)
+    return result, (*pinned.notes, *doubts, *unknown), doubt if has_metres and result.depth_m is None else None
 
 
 def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:

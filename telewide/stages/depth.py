@@ -6,7 +6,7 @@ import math
 import os
 import time
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -248,12 +248,12 @@ def _depth_of(
     if options.trusts_focus and known is None:
         told = "EXIF states no distance of the focus (SubjectDistance), so none is used"
         call.observer.warned(f"{item.capture.name}: {told}")
-    shot = _shot(item, prepared, known)
+    shot = _shot(item, prepared, known, matcher=matcher)
     return depth_of_capture(
         item.source,
         item.held_out,
         (options.out or call.folder.depth) / item.capture.name,
-        facts=prepared.facts,
+        facts=replace(prepared.facts, wide_side=item.wide_side),
         match=matcher.match,
         window=window,
         bokeh=options.bokeh,
@@ -270,12 +270,15 @@ def _stated_focus(item: PreparedPair) -> KnownDistance | None:
     return focused_at(facts.subject_distance_m, hw=facts.hw)
 
 
-def _shot(item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None) -> ShotGeometry | None:
+def _shot(
+    item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None, *, matcher: Matcher
+) -> ShotGeometry | None:
     """Geometry of the pair to its photos, and precision of its depths; None where it was rectified when it came."""
     if item.alignment is None or prepared.rig is None:
         return None
     aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
     precision = shot_precision(item.alignment, of_set=aligned, rig=prepared.rig)
+    precision = replace(precision, is_match_known=matcher.is_confidence_measured)
     return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, known)
 
 

@@ -77,7 +77,13 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
 
     network, card = load_weights(weights, device=choose_device(device))
     match = partial(match_jointly if method == "joint" else match_with_network, network=network)
-    return Matcher(f"{method} {fingerprint(weights)}", match, card.window, _unfinished(weights, card))
+    return Matcher(
+        f"{method} {fingerprint(weights)}",
+        match,
+        card.window,
+        doubt=_unfinished(weights, card),
+        is_confidence_measured=method == "joint",
+    )
 
 
 def _unfinished(weights: Path, card: WeightsCard) -> str | None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from telewide.calibration.rig_file import StoredRig
+from telewide.capture.facts import WideSide
 from telewide.capture.pair import Capture, CaptureFacts, Problem
 from telewide.correction.blur import BlurEstimate, damage_range
 from telewide.correction.verdict import PairReport, disparity_window
@@ -28,6 +29,7 @@ class PreparedPair:
         held_out: its matches that no fit has seen.
         alignment: geometry between the corrected pair and the photos; None where they were rectified when they came.
         blur: how much softer wide is; None where matches are too few to tell.
+        wide_side: of photos that were rectified when they came: where wide stands, "left" for a mirrored pair.
     """
 
     source: Capture
@@ -37,6 +39,7 @@ class PreparedPair:
     held_out: HeldOut
     alignment: Alignment | None = None
     blur: BlurEstimate | None = None
+    wide_side: WideSide = "right"
 
 
 @dataclass(frozen=True)

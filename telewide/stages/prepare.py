@@ -17,13 +17,14 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from telewide.calibration.rig_file import RIG_FILE, StoredRig
-from telewide.capture.exif import image_pipeline, pipeline_conflict
+from telewide.capture.exif import image_pipeline, pipeline_conflict, read_photo_facts
+from telewide.capture.facts import WideSide
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.mixed_sizes import check_sizes
@@ -31,6 +32,7 @@ from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, Re
 from telewide.correction.blur import BlurEstimate, fit_blur
 from telewide.correction.verdict import (
     MIN_COMMON_MATCHES,
+    MIN_EVIDENCE_MATCHES,
     CorrectedPair,
     PairReport,
     correct_pair,
@@ -61,11 +63,15 @@ from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line, json_text
 from telewide.training.samples import LABELS_NAME
 
-FORMAT = 6
+FORMAT = 7
 RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
 MATCHES_NAME = "matches.npz"
 _MOST_BYTES_OF_MATCHES = 1 << 26
+_FOUND_ON_THE_LEFT = (
+    "by the stated doffs_px all of it would lie behind the cameras, so wide is taken to stand to the left of tele; "
+    "state wide_side: left in captures.yaml if that is so"
+)
 
 
 @dataclass(frozen=True)
@@ -76,11 +82,13 @@ class CorrectedShot:
         corrected: the pair at its working size, with its matches.
         report: what was measured, and a verdict.
         alignment: geometry between the pair and the photos; None where they were rectified when they came.
+        wide_side: of such photos: where wide stands, "left" for a mirrored pair.
     """
 
     corrected: CorrectedPair
     report: PairReport
     alignment: Alignment | None
+    wide_side: WideSide = "right"
 
 
 Tick = Callable[[PairReport | None], None]
@@ -154,6 +162,8 @@ def prepare_captures(
         elif prepared is not None:
             pairs.append(prepared)
             problems += _what_is_cut_off(prepared.report, recipe.window_px)
+            if prepared.wide_side == "left" and captures.facts.wide_side is None:
+                problems.append(Problem(capture.name, _FOUND_ON_THE_LEFT, is_skipped=False))
         if tick is not None:
             tick(prepared.report if prepared is not None else None)
     if not pairs:
@@ -186,6 +196,7 @@ def _prepare_pair(
 ) -> PreparedPair:
     folder = run.pairs / capture.name
     refuse_links(run.root, folder)
+    rig = None if rig is None else _as_held(rig, capture)
     key = _key_of(capture, facts, recipe, rig)
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is not None:
@@ -198,6 +209,7 @@ def _prepare_pair(
         alignment,
         facts=facts,
         recipe=recipe,
+        scale=scale,
         focal_lengths_mm=(focal_length_mm(capture.tele_path), focal_length_mm(capture.wide_path)),
     )
     report, corrected = shot.report, shot.corrected
@@ -209,6 +221,7 @@ def _prepare_pair(
     content = {
         "key": key,
         "scale": scale,
+        "wide_side": shot.wide_side,
         "report": dataclasses.asdict(report),
         "colour": {
             "parts": corrected.colour.parts,
@@ -227,12 +240,21 @@ def _prepare_pair(
     return kept
 
 
+def _as_held(rig: StoredRig, capture: Capture) -> StoredRig:
+    """The rig as it stands in these photos, which say how the phone was held."""
+    tele, wide = (read_photo_facts(path) for path in (capture.tele_path, capture.wide_path))
+    if tele.hw is None:  # a photo that cannot be read says so where it is read
+        return rig
+    return replace(rig, rig=rig.as_held((tele.orientation, wide.orientation), tele_hw=tele.hw))
+
+
 def correct_shot(
     pair: RectifiedPair,
     alignment: Alignment | None,
     *,
     facts: CaptureFacts,
     recipe: Recipe,
+    scale: float = 1.0,
     focal_lengths_mm: tuple[float | None, float | None] = (None, None),
 ) -> CorrectedShot:
     """Measure and judge a pair at its working size, and bring wide's rows and colours to tele's.
@@ -240,8 +262,9 @@ def correct_shot(
     Args:
         pair: two views of one size.
         alignment: their geometry to the photos; None for photos that were rectified when they came.
-        facts: what the owner states.
+        facts: what the owner states; where that leaves the side of wide open, a stated zero of disparity may show it.
         recipe: what is corrected; its seed splits the matches.
+        scale: px of the pair for one px of the photo.
         focal_lengths_mm: of tele's and wide's lens as EXIF states them.
 
     Returns:
@@ -250,6 +273,10 @@ def correct_shot(
     matches = find_matches(pair.tele, pair.wide)
     stated = facts if alignment is None else facts.model_copy(update={"rectified": True})
     report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
+    if alignment is None and _is_wide_on_the_left(report, facts, scale=scale):
+        facts = dataclasses.replace(facts, wide_side="left")
+        mirrored = pair.mirrored
+        return correct_shot(mirrored, None, facts=facts, recipe=recipe, focal_lengths_mm=focal_lengths_mm)
     if alignment is not None:
         report = with_doubts(report, alignment.notes)
     corrected = correct_pair(
@@ -260,7 +287,18 @@ def correct_shot(
         has_vertical=recipe.correction.vertical and not (alignment and alignment.refinement.is_fitted),
         has_colour=recipe.correction.colour,
     )
-    return CorrectedShot(corrected, report, alignment)
+    side = facts.wide_side if alignment is None and facts.wide_side is not None else "right"
+    return CorrectedShot(corrected, report, alignment, side)
+
+
+def _is_wide_on_the_left(report: PairReport, facts: CaptureFacts, *, scale: float) -> bool:
+    """Whether all that is seen would lie behind the cameras, were wide on the right of tele.
+
+    Without `doffs_px` no disparity is known to be that of infinity: the views may have been cropped anyhow.
+    """
+    if facts.wide_side is not None or facts.doffs_px is None or report.n_matches <= MIN_EVIDENCE_MATCHES:
+        return False
+    return report.disparity_p98_px + facts.doffs_px * scale < 0
 
 
 def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
@@ -354,13 +392,22 @@ def _read_kept(
         if rig is not None:
             text = read_regular(folder / SHOT_NAME).decode()
             alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
-        scale = float(content["scale"])
+        scale, wide_side = float(content["scale"]), content["wide_side"]
+        if wide_side not in get_args(WideSide):
+            raise ValueError(f"a side called {wide_side}")
     except (TelewideError, ValueError, KeyError, TypeError, ArithmeticError):  # damaged: it is made again
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
     return PreparedPair(
-        source=capture, capture=corrected, report=report, scale=scale, held_out=held_out, alignment=alignment, blur=blur
+        source=capture,
+        capture=corrected,
+        report=report,
+        scale=scale,
+        held_out=held_out,
+        alignment=alignment,
+        blur=blur,
+        wide_side=wide_side,
     )
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,9 +52,10 @@ def measured(captures: Path, *, trained_runs: tuple[RunFolder, ...] = ()) -> Ben
     (truth_path,) = captures.glob("*/truth.pfm")
     truth_px = read_pfm(truth_path)
     right, off = answering("right", truth_px), answering("off", truth_px + np.float32(OFF_PX))
+    trained = replace(answering("trained", truth_px), window=(0, 32))
     return benchmark_matches(
         captures,
-        [Entrant(right), Entrant(right, is_corrected=False), Entrant(off)],
+        [Entrant(right), Entrant(right, is_corrected=False), Entrant(off), Entrant(trained)],
         run=RunFolder(captures.parent / "run"),
         recipe=Recipe(),
         tell=lambda _: None,
@@ -120,7 +122,7 @@ def test_pairs_that_need_a_rig_cannot_be_judged_uncorrected(photographed: tuple[
 
 
 def test_the_truth_misses_few_matches_and_a_shifted_one_nearly_all(captures: Path) -> None:
-    right, uncorrected, off = measured(captures).rows
+    right, uncorrected, off, _ = measured(captures).rows
     assert int(str(right["matches"])) > 20
     assert float(str(right["off_1px"])) < 0.1
     assert uncorrected == {**right, "matcher": "right, uncorrected"}
@@ -139,7 +141,7 @@ def test_without_a_record_no_capture_counts_as_unseen(captures: Path, tmp_path: 
     report = measured(captures, trained_runs=(RunFolder(tmp_path / "unrecorded"),))
     assert {row["captures"] for row in report.rows} == {"all"}
     assert "unseen" in report.notes[-1]
-    assert len(matches_table(report).splitlines()) == 2 + 3
+    assert len(matches_table(report).splitlines()) == 2 + 4
 
 
 def test_captures_that_every_training_held_out_get_their_own_lines(captures: Path, tmp_path: Path) -> None:
@@ -150,7 +152,8 @@ def test_captures_that_every_training_held_out_get_their_own_lines(captures: Pat
         run.train.mkdir(parents=True)
         (run.train / "training.json").write_text(json.dumps(record))
     report = measured(captures, trained_runs=runs[:1])
-    assert [row["captures"] for row in report.rows] == ["all"] * 3 + ["held out"] * 3
+    assert [row["captures"] for row in report.rows] == ["all"] * 4 + ["held out"] * 3 + ["held out, chose the weights"]
+    assert "| held out, chose the weights |" in matches_table(report).splitlines()[-1]
     assert "held-out captures chose the best weights" in report.notes[-1]
     both = measured(captures, trained_runs=runs)  # the second training has seen it
     assert {row["captures"] for row in both.rows} == {"all"}

@@ -11,8 +11,14 @@ from rig_worlds import phone_rig
 
 from telewide.depth.pin import KnownDistance, focused_at, pin_distance
 from telewide.depth.precision import DepthPrecision
-from telewide.depth.precision_notes import hardly_known_notes, pinned_shot, without_meaningless_metres
-from telewide.depth.result import DepthResult
+from telewide.depth.precision_notes import (
+    hardly_known_notes,
+    pinned_shot,
+    without_depth_behind,
+    without_meaningless_metres,
+    without_unknown_std,
+)
+from telewide.depth.result import DepthResult, depth_result_of_rig
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap
 
@@ -89,6 +95,35 @@ def test_metres_that_mean_nothing_are_taken_away_and_no_absurd_figure_is_told(sh
         assert "no depth in metres" in told
         assert "%" not in told
         assert "`distance`" in told
+
+
+@pytest.mark.parametrize(("has_rig", "advice"), [(False, "wide_side: left"), (True, "held otherwise")])
+def test_depth_behind_the_cameras_is_taken_away(*, has_rig: bool, advice: str) -> None:
+    disparity_px = np.linspace(-30, 1, 40, dtype=np.float32).reshape(5, 8)
+    depth_m = np.where(disparity_px > 0, 2, np.nan).astype(np.float32)
+    result = DepthResult("000", DisparityMap(disparity_px, np.ones_like(depth_m), disparity_px > 0), depth_m=depth_m)
+    left, told = without_depth_behind(result, has_rig=has_rig)
+    assert left.depth_m is None
+    assert told is not None
+    assert advice in told
+    assert without_depth_behind(replace(result, doffs_px=10.0), has_rig=has_rig)[1] is None
+
+
+def test_a_deviation_that_nothing_tells_is_left_out_and_metres_are_still_judged() -> None:
+    """Of a network alone: what rig and lens are unsure by is the least the deviation can be."""
+    disparity = DisparityMap(*(np.full((4, 5), value, kind) for value, kind in ((6.0, "f4"), (0.9, "f4"), (1, "?"))))
+    for shift_px, has_metres in ((1.0, True), (40.0, False)):
+        precision = DepthPrecision(lens_shift_std_px=shift_px, is_match_known=False)
+        result = depth_result_of_rig("000", disparity, rig=RIG, precision=precision)
+        judged, _ = without_meaningless_metres(result)
+        left, told = without_unknown_std(judged, precision=precision)
+        assert (left.depth_m is not None) == has_metres
+        assert left.depth_std_m is None
+        assert len(told) == has_metres
+    sure = depth_result_of_rig("000", disparity, rig=RIG, precision=DepthPrecision(lens_shift_std_px=1.0))
+    assert sure.depth_std_m is not None
+    assert result.depth_std_m is not None
+    assert without_unknown_std(sure, precision=DepthPrecision()) == (sure, ())
 
 
 def test_a_rig_that_does_not_know_a_distance_does_not_state_one() -> None:

@@ -402,7 +402,7 @@ def test_lenses_that_stand_the_other_way_round_are_spoken_of(
         key={"mirrored": True},
     )
     assert isinstance(outcome, DepthOutcome)
-    assert any("rotated_deg: 180" in note for note in outcome.notes)
+    assert any("wide_side: left" in note for note in outcome.notes)
     assert (outcome.withheld is not None) == (facts.baseline_m is not None)
     with np.load(tmp_path / "a" / "depth.npz") as arrays:
         assert "depth_m" not in arrays

@@ -36,6 +36,8 @@ def read_capture_with_truth(root: Path, name: str) -> StereoTruth:
     disparity_px = read_truth(capture, hw=(pair.tele.shape[0], pair.tele.shape[1]))
     if disparity_px is None:
         raise UsageError(f"capture {name} in {root} has no truth; {_truth_name(capture)} was expected")
+    if captures.facts.wide_side == "left":  # the pair is mirrored, the truth is of the photos as given
+        disparity_px = -disparity_px[:, ::-1]
     return StereoTruth(pair.tele, pair.wide, np.asarray(disparity_px, dtype=np.float32))
 
 
