@@ -3,8 +3,12 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
-# The lowest versions that pyproject.toml allows.
+# The lowest versions that pyproject.toml allows, and tests that together touch all that telewide calls of each package.
 MINIMA := .venv-minima
+MINIMA_TESTS := test_plain test_options test_npz test_files geometry/test_rig geometry/test_resample capture/test_exif \
+	capture/test_images capture/test_raw boards/test_detection calibration/test_bundle calibration/test_rig_file \
+	correction/test_colour depth/test_export depth/test_preview pages/test_report cli/test_board cli/test_terminal \
+	matching/test_volume matching/test_lite training/test_checkpoint
 # make bench RUNS="run other/run" measures their networks too. Two of its four tables need data sets, which you fetch:
 #   $(DATA)/middlebury_2006_third/<scene>/{view1,view5,disp1,disp5}.png   vision.middlebury.edu/stereo/data/scenes2006,
 #                                                                      the 21 scenes of a third of the size
@@ -34,7 +38,7 @@ test-slow: $(STAMP)
 
 # Old releases warn of what newer ones of others have deprecated: only here are warnings no errors.
 test-minima: $(MINIMA)/.installed
-	$(MINIMA)/bin/python -m pytest -m "not slow" -o filterwarnings= $(PYTEST_ARGS)
+	$(MINIMA)/bin/python -m pytest -m "not slow" -o filterwarnings= $(MINIMA_TESTS:%=tests/%.py) $(PYTEST_ARGS)
 
 $(MINIMA)/.installed: pyproject.toml constraints.txt .ci/minima
 	test -x $(MINIMA)/bin/python || $(PYTHON) -m venv $(MINIMA)
