@@ -230,7 +230,7 @@ def estimate_depth(
     views = shot.corrected.pair
     disparity = matcher.match(views.tele, views.wide, window=_window(shot, recipe, matcher))
     geometry = _geometry(shot, rig, matcher=matcher)
-    facts = replace(facts, wide_side=shot.wide_side)
+    facts = facts.model_copy(update={"wide_side": shot.wide_side})
     return depth_on_photo(disparity, photos.tele, name=photos.name, facts=facts, shot=geometry)[0]
 
 

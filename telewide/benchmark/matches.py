@@ -7,7 +7,7 @@ on; those of the captures no training has seen, what a new photo would get.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -132,11 +132,7 @@ def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
 
 
 def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> FloatArray:
-    pair = (
-        read_pair(item.capture)
-        if entrant.is_corrected
-        else _uncorrected(item, replace(facts, wide_side=item.wide_side))
-    )
+    pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
     disparity = entrant.contender.match(pair.tele, pair.wide, window=window)
     return match_errors_px(disparity.disparity_px, item.held_out)
 
@@ -144,7 +140,7 @@ def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, win
 def _uncorrected(item: PreparedPair, facts: CaptureFacts) -> RectifiedPair:
     """The pair as it was photographed, at the working size; the correction moves rows only, so matches still hold."""
     height, width = read_pair(item.capture).tele.shape[:2]
-    pair = read_pair(item.source, facts=facts)
+    pair = read_pair(item.source, facts=facts.model_copy(update={"wide_side": item.wide_side}))
     if pair.tele.shape[:2] == (height, width):
         return pair
     tele, wide = (resize_bicubic(view, wh=(width, height)) for view in (pair.tele, pair.wide))

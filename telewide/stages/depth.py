@@ -253,7 +253,7 @@ def _depth_of(
         item.source,
         item.held_out,
         (options.out or call.folder.depth) / item.capture.name,
-        facts=replace(prepared.facts, wide_side=item.wide_side),
+        facts=prepared.facts.model_copy(update={"wide_side": item.wide_side}),
         match=matcher.match,
         window=window,
         bokeh=options.bokeh,

@@ -274,7 +274,7 @@ def correct_shot(
     stated = facts if alignment is None else facts.model_copy(update={"rectified": True})
     report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
     if alignment is None and _is_wide_on_the_left(report, facts, scale=scale):
-        facts = dataclasses.replace(facts, wide_side="left")
+        facts = facts.model_copy(update={"wide_side": "left"})
         mirrored = pair.mirrored
         return correct_shot(mirrored, None, facts=facts, recipe=recipe, focal_lengths_mm=focal_lengths_mm)
     if alignment is not None:
