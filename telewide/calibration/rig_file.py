@@ -42,21 +42,21 @@ class RigFacts:
 
     Attributes:
         image_pipeline: identity of what made the pictures from the sensor; None where unknown.
-        orientations: EXIF orientations of its tele and its wide photos, in which the rig stands; None where unknown.
         focus_distance_m: where the photos were focused; None where unknown.
         scale_verified: whether the board, or a distance, was measured; otherwise metres are nominal.
         board: name of the board; None without one.
         source: whether it came from photos of a board or of scenes.
+        orientations: EXIF orientations of its tele and its wide photos, in which the rig stands; None where unknown.
         created_utc: ISO time; None writes the present.
         notes: for people.
     """
 
     image_pipeline: str | None = None
-    orientations: tuple[int, int] | None = None
     focus_distance_m: float | None = None
     scale_verified: bool = False
     board: str | None = None
     source: Literal["boards", "scenes"] = "boards"
+    orientations: tuple[int, int] | None = None
     created_utc: str | None = None
     notes: tuple[str, ...] = ()
 

@@ -165,7 +165,7 @@ def why_not_good(done: DepthRun) -> QualityError | None:
     if not withheld or len(withheld) < len(done.outcomes):
         return None
     return QualityError(
-        f"disparity was written to {done.folder}, but no depth in metres: it would mean nothing",
+        f"disparity was written to {done.folder}, but no capture has depth in metres; {withheld[0]}",
         hint="measure the distance of one point in each photo and name it with --distance X,Y,M; or calibrate from "
         "photos of a board",
     )

@@ -34,7 +34,15 @@ def stored(rng: np.random.Generator) -> StoredRig:
     spread = rng.normal(size=(6, 6)) * 1e-5
     std = [CameraStd(*np.abs(rng.normal(size=3)).tolist(), np.abs(rng.normal(size=n)) / 7, aspect=1e-7) for _ in "tw"]
     transform = TransformStd(np.full(3, 1 / 3), np.abs(rng.normal(size=3)) * 1e-6, 1e-7 / 3, spread @ spread.T)
-    facts = RigFacts("jpeg:Phone", 1.2, True, "chessboard_9x6", created_utc="2026-01-01T00:00:00+00:00", notes=("a",))
+    facts = RigFacts(
+        "jpeg:Phone",
+        1.2,
+        True,
+        "chessboard_9x6",
+        orientations=(6, 1),
+        created_utc="2026-01-01T00:00:00+00:00",
+        notes=("a",),
+    )
     return StoredRig(rig, *std, transform, QUALITY, facts, n_joint_views=9, left_out=("joint03 (tele): blurred",))
 
 

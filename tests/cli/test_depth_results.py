@@ -27,6 +27,7 @@ def test_results_are_good_as_long_as_one_capture_has_what_its_rig_promises() -> 
     assert failure is not None
     assert failure.exit_code == 4
     assert "run/depth" in failure.message
+    assert failure.message.endswith("no metres")
     assert "--distance" in str(failure.hint)
 
 
