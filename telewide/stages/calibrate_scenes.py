@@ -210,7 +210,7 @@ def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick
         scenes.append(scene)
         if len(scene) < MIN_SCENE_MATCHES:
             notes.append(f"{capture.name}: {len(scene)} matches, too few for a say")
-    return _Matched(tuple(alike), tuple(scenes), common, most.orientations, tuple(notes))
+    return _Matched(tuple(alike), tuple(scenes), common, orientations=most.orientations, notes=tuple(notes))
 
 
 def _kind(capture: Capture) -> _Kind | None:
