@@ -180,7 +180,7 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
 
 
 def _orientations(shots: Sequence[BoardShot]) -> tuple[int, int] | None:
-    """How the phone was held, in EXIF's words, in the shots that others are turned to; None where no photo says it."""
+    """Find how the phone was held, in EXIF's words, in the shots others are turned to; None where none says it."""
     for shot in shots:
         if shot.tele_path is None or shot.wide_path is None or shot.tele_turn_deg or shot.wide_turn_deg:
             continue

@@ -162,8 +162,7 @@ def prepare_captures(
         elif prepared is not None:
             pairs.append(prepared)
             problems += _what_is_cut_off(prepared.report, recipe.window_px)
-            if prepared.wide_side == "left" and captures.facts.wide_side is None:
-                problems.append(Problem(capture.name, _FOUND_ON_THE_LEFT, is_skipped=False))
+            problems += _where_wide_stands(prepared, captures.facts)
         if tick is not None:
             tick(prepared.report if prepared is not None else None)
     if not pairs:
@@ -189,6 +188,13 @@ def _what_is_cut_off(report: PairReport, stated: Window | None) -> list[Problem]
         "of what lies beyond is wrong"
     )
     return [Problem(report.name, message, is_skipped=False)]
+
+
+def _where_wide_stands(pair: PreparedPair, facts: CaptureFacts) -> list[Problem]:
+    """A note where the side of wide was found and not stated."""
+    if facts.wide_side is not None or pair.wide_side == "right":
+        return []
+    return [Problem(pair.capture.name, _FOUND_ON_THE_LEFT, is_skipped=False)]
 
 
 def _prepare_pair(
