@@ -93,6 +93,7 @@ def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | 
         UsageError: there is no such folder, or both are one.
         InputError: there are no photos in it.
     """
+    _check_folders(dcim, captures)
     files, unread = _photo_files(dcim, captures)
     photos, damaged = _read_roll(files, tick)
     imported = _imported(captures)
@@ -142,8 +143,7 @@ def is_imported(folder: Path) -> bool:
     return isinstance(record, dict) and "seconds_apart" in record
 
 
-def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]]:
-    """Return the photos below a folder, each once, without hidden ones; and the folders that cannot be opened."""
+def _check_folders(dcim: Path, captures: Path) -> None:
     if not dcim.exists():
         raise UsageError(f"{dcim} does not exist; the folder with the phone's photos was expected")
     if not dcim.is_dir():
@@ -152,6 +152,10 @@ def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]
         raise UsageError(f"{captures} is a file; a folder for the captures was expected")
     if os.path.realpath(dcim) == os.path.realpath(captures):
         raise UsageError(f"{dcim} is both where photos come from and where captures go", hint="name two folders")
+
+
+def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]]:
+    """Return the photos below a folder, each once, without hidden ones; and what cannot be looked at."""
     files: dict[str, Path] = {}
     closed: list[Unpaired] = []
 
@@ -172,6 +176,12 @@ def _photo_files(dcim: Path, captures: Path) -> tuple[list[Path], list[Unpaired]
                 entered.add(place)
                 below.append(name)
         for name in sorted(filter(_is_photo_name, names)):
+            if "\n" in name:  # every message of it would look like several
+                shown = Path(folder) / name.replace("\n", "\\n")
+                closed.append(
+                    Unpaired(RollPhoto(shown, PhotoFacts("unknown")), "its name holds a line break; rename it")
+                )
+                continue
             files.setdefault(os.path.realpath(Path(folder) / name), Path(folder) / name)
     if not files:
         told = "".join(f"; {one.photo.path}: {one.reason}" for one in closed)

@@ -39,7 +39,8 @@ TRUTH = "truth"
 _UNREAD = "unread"
 _MAX_LISTED = 5
 _ROLE_SUFFIX = re.compile(
-    r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))", re.IGNORECASE
+    r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))",
+    re.IGNORECASE | re.DOTALL,
 )
 _LAYOUTS = "<name>/tele.* with <name>/wide.*, <name>_tele.* with <name>_wide.*, or tele/<name>.* with wide/<name>.*"
 
@@ -218,6 +219,8 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
     problems = []
     for (name, _), roles in sorted(candidates.items(), key=lambda item: item[0]):
         message = _why_unusable(roles)
+        if "\n" in name:  # every message of it would look like several
+            name, message = name.replace("\n", "\\n"), "its name holds a line break; rename it"
         if message is None and name in captures:
             message = f"{_best_pair(roles)[0]} is not read: {captures[name].tele_path} has the same name"
         if message is not None:

@@ -315,3 +315,24 @@ def test_a_roll_of_links_to_themselves_and_of_folders_without_end_is_looked_thro
     assert set(told) == {"a.jpg", "d"}
     assert "cannot be read" in told["a.jpg"]
     assert "40 levels deep" in told["d"]
+
+
+@pytest.mark.parametrize("layout", ["{name}/{view}.jpg", "{name}_{view}.jpg", "{view}/{name}.jpg"])
+def test_a_name_with_a_line_break_is_told_in_one_line(tmp_path: Path, layout: str) -> None:
+    """Else it could write lines of its own: that all is well, or what to type next."""
+    for name in ("good", "bad\nerror: all is lost"):
+        for number, view in enumerate(("tele", "wide")):
+            path = tmp_path / layout.format(name=name, view=view)
+            path.parent.mkdir(exist_ok=True)
+            Image.new("RGB", (64, 48), (90 * number, 0, 0)).save(path)
+    found = find_captures(tmp_path)
+    assert [capture.name for capture in found.captures] == ["good"]
+    (problem,) = found.problems
+    assert (problem.name, problem.message) == ("bad\\nerror: all is lost", "its name holds a line break; rename it")
+
+
+def test_a_photo_of_a_roll_whose_name_has_a_line_break_is_told_in_one_line(tmp_path: Path) -> None:
+    Image.new("RGB", (64, 48)).save(tmp_path / "a\nb.jpg")
+    Image.new("RGB", (64, 48)).save(tmp_path / "c.jpg")
+    plan = plan_import(tmp_path, tmp_path / "captures", choice=LensChoice())
+    assert {one.photo.path.name: one.reason for one in plan.unpaired}["a\\nb.jpg"].startswith("its name holds")
