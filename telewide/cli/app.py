@@ -23,6 +23,7 @@ from telewide.cli.board import board
 from telewide.cli.calibrate import CALIBRATE_EPILOG, calibrate
 from telewide.cli.console import VisibleFormatter, print_json, say
 from telewide.cli.depth import DEPTH_EPILOG, depth
+from telewide.cli.export_model import EXPORT_EPILOG, export_model
 from telewide.cli.import_roll import IMPORT_EPILOG, import_photos
 from telewide.cli.run import RUN_EPILOG, run_everything
 from telewide.cli.show import SHOW_EPILOG, show
@@ -52,6 +53,7 @@ app.command(epilog=SHOW_EPILOG)(show)
 app.command(epilog=TRAIN_EPILOG)(train)
 app.command(epilog=DEPTH_EPILOG)(depth)
 app.command("run", epilog=RUN_EPILOG)(run_everything)
+app.command("export-model", epilog=EXPORT_EPILOG)(export_model)
 app.command(epilog=SIMULATE_EPILOG)(simulate)
 app.add_typer(benchmark_app, name="benchmark")
 

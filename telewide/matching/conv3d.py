@@ -33,5 +33,6 @@ def _is_small_for_onednn(x: Tensor) -> bool:
         and x.device.type == "cpu"
         and x.dtype == torch.float32
         and not torch.is_autocast_enabled("cpu")
+        and not torch.compiler.is_compiling()  # ONNX knows torch's own alone
         and torch.backends.mkldnn.is_available()
     )

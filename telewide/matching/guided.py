@@ -13,13 +13,16 @@ Letters: B batch, C channels, G groups, D planes, H W grid at hand.
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from telewide.matching.conv3d import Conv3d
+from telewide.matching.overwriting import add_enlarged, may_overwrite, planar_conv1x1
 from telewide.matching.sampling import upsample_convex, warp_to_ref
-from telewide.matching.volume import correlate_groups, expect_disparity_at_mode
+from telewide.matching.volume import correlate_at, correlate_groups, expect_disparity_at_mode
 from telewide.matching.window import VOLUME_STEP_PX, Window
 
 GUIDE, QUARTER, EIGHTH, SIXTEENTH, THIRTYSECOND = 32, 48, 80, 112, 144
@@ -47,7 +50,9 @@ class _Residual(nn.Module):
         nn.init.zeros_(self.last.weight)
 
     def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(x + self.last(functional.relu(self.first(x))))
+        # In place throughout: a fresh map takes longer to lay out than to fill.
+        inner = self.last(functional.relu_(self.first(x)))
+        return functional.relu_(inner.add_(x))
 
 
 def _down(c_in: int, c_out: int, *blocks: nn.Module) -> nn.Sequential:
@@ -64,7 +69,7 @@ class _Up(nn.Module):
 
     def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
         lifted = functional.interpolate(self.lift(coarse), size=fine.shape[-2:], mode="bilinear", align_corners=False)
-        mixed: Tensor = self.mix(fine + lifted)
+        mixed: Tensor = self.mix(lifted.add_(fine))
         return mixed
 
 
@@ -93,7 +98,7 @@ class GuidedFeatures(nn.Module):
         sixteenth = self.sixteenth(eighth)
         deep = self.to_sixteenth(self.thirtysecond(sixteenth), sixteenth)
         trunk = self.to_quarter(self.to_eighth(deep, eighth), quarter)
-        return self.head(trunk), guide, trunk
+        return planar_conv1x1(self.head, trunk), guide, trunk
 
 
 class _Hourglass(nn.Module):
@@ -123,23 +128,20 @@ class _Hourglass(nn.Module):
         half = _gated(self.down1(full), self.gates[1](_pooled(trunk, 2)))
         quarter = _gated(self.down2(half), self.gates[2](_pooled(trunk, 4)))
         eighth = self.down3(quarter)
-        quarter = self.mix2(_resized(self.lift3(eighth), quarter) + quarter)
-        half = self.mix1(_resized(self.lift2(quarter), half) + half)
-        full = self.mix0(_resized(self.lift1(half), full) + full)
+        quarter = self.mix2(add_enlarged(self.lift3(eighth), quarter))
+        half = self.mix1(add_enlarged(self.lift2(quarter), half))
+        full = self.mix0(add_enlarged(self.lift1(half), full))
         left: Tensor = self.leave(full)[:, 0]
         return left
 
 
 def _gated(volume_BCDHW: Tensor, gate_BCHW: Tensor) -> Tensor:
-    return volume_BCDHW * gate_BCHW.sigmoid()[:, :, None]
+    gate = gate_BCHW.sigmoid()[:, :, None]
+    return volume_BCDHW.mul_(gate) if may_overwrite() else volume_BCDHW * gate
 
 
 def _pooled(x: Tensor, factor: int) -> Tensor:
     return functional.avg_pool2d(x, factor, ceil_mode=True)
-
-
-def _resized(x: Tensor, like: Tensor) -> Tensor:
-    return functional.interpolate(x, size=like.shape[2:], mode="nearest")
 
 
 class _Update(nn.Module):
@@ -156,12 +158,13 @@ class _Update(nn.Module):
         self.residual = nn.Sequential(_conv(HIDDEN, 32), nn.ReLU(inplace=True), last)
         nn.init.zeros_(last.weight)
 
-    def forward(self, hidden: Tensor, context: tuple[Tensor, ...], seen: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, hidden: Tensor, context: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
         x = self.encode(seen)
-        gates = self.gates(torch.cat((hidden, x), dim=1))
-        keep, reset = (gates + torch.cat(context[:2], dim=1)).sigmoid().chunk(2, dim=1)
-        candidate = torch.tanh(self.candidate(torch.cat((reset * hidden, x), dim=1)) + context[2])
-        hidden = hidden + keep * (candidate - hidden)
+        of_gates, of_candidate = context.split((2 * HIDDEN, HIDDEN), dim=1)
+        gates = self.gates(torch.cat((hidden, x), dim=1)).add_(of_gates).sigmoid_()
+        keep, reset = gates.chunk(2, dim=1)
+        candidate = self.candidate(torch.cat((reset * hidden, x), dim=1)).add_(of_candidate).tanh_()
+        hidden = torch.addcmul(hidden, keep, candidate - hidden)
         return hidden, self.residual(hidden)[:, 0].float() * VOLUME_STEP_PX
 
 
@@ -192,24 +195,25 @@ class GuidedMatching(nn.Module):
     def forward(
         self, ref: tuple[Tensor, ...], src: tuple[Tensor, ...], window: Window
     ) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Disparities (B, H, W), coarse to fine, px; the volume (B, D, H/4, W/4); heads (B, 2, H, W).
+        """Disparities (B, H, W), px, coarse to fine in training, else the last; the volume (B, D, H/4, W/4); heads.
 
-        The heads are logits: that the error is below 1 px, and that src does not see the pixel.
+        The heads (B, 2, H, W) are logits: that the error is below 1 px, and that src does not see the pixel.
         """
         correlation = correlate_groups(ref[0], src[0], window=window, groups=GROUPS)
         mean = correlation.float().mean(dim=1)
         logits = self._regularised(correlation, ref[2]) + self.correlation_scale * mean
         coarse_px = expect_disparity_at_mode(logits, window=window)
         guesses, hidden = self._updated(coarse_px, logits, mean, trunk=ref[2], window=window)
-        half_px = upsample_convex(guesses[-1], self.up_weights(hidden), factor=2)
-        refined_px, fine = self._at_half(half_px, hidden, ref[1], src[1])
-        full_px = upsample_convex(refined_px, self.half_weights(fine), factor=2)
-        heads = _doubled(self.half_heads(fine).float())
-        return [*(_nearest(d, 4) for d in (coarse_px, *guesses)), _nearest(half_px, 2), full_px], logits, heads
+        half_px = upsample_convex(guesses[-1], self._up_weights(hidden), factor=2)
+        refined_px, fine, heads = self._at_half(half_px, hidden, ref[1], src[1])
+        full_px = upsample_convex(refined_px, planar_conv1x1(self.half_weights, fine), factor=2)
+        coarse = [*(_nearest(d, 4) for d in (coarse_px, *guesses)), _nearest(half_px, 2)] if self.training else []
+        return [*coarse, full_px], logits, _doubled(heads)
 
     def _regularised(self, correlation: Tensor, trunk: Tensor) -> Tensor:
         planes = correlation.shape[2]
-        padded = functional.pad(correlation, (0, 0, 0, 0, 0, max(-planes % PLANES_MULTIPLE, LEAST_PLANES - planes)))
+        missing = max(-planes % PLANES_MULTIPLE, LEAST_PLANES - planes)
+        padded = functional.pad(correlation, (0, 0, 0, 0, 0, missing)) if missing else correlation
         volume = padded.contiguous(memory_format=torch.channels_last_3d)
         regularised: Tensor = self.hourglass(volume, trunk)[:, :planes]
         return regularised.float()
@@ -219,7 +223,7 @@ class GuidedMatching(nn.Module):
     ) -> tuple[list[Tensor], Tensor]:
         first, context = self.context(trunk).chunk(2, dim=1)
         hidden = torch.tanh(first)
-        terms = self.update.context(functional.relu(context)).chunk(3, dim=1)
+        terms = self.update.context(functional.relu(context))
         likely = logits.log_softmax(dim=1)
         peak = likely.amax(dim=1, keepdim=True)
         guess_px, guesses = coarse_px, []
@@ -233,16 +237,34 @@ class GuidedMatching(nn.Module):
             guesses.append(guess_px)
         return guesses, hidden
 
-    def _at_half(self, half_px: Tensor, hidden: Tensor, ref_guide: Tensor, src_guide: Tensor) -> tuple[Tensor, Tensor]:
+    def _up_weights(self, hidden: Tensor) -> Tensor:
+        return planar_conv1x1(cast(nn.Conv2d, self.up_weights[-1]), self.up_weights[:-1](hidden))
+
+    def _at_half(self, half_px: Tensor, hidden: Tensor, ref_guide: Tensor, src_guide: Tensor) -> tuple[Tensor, ...]:
+        """Refined disparity (B, h, w), px; what it was read from; heads (B, 2, h, w)."""
         start_px = half_px.detach()
-        ref, src = (self.half_features(guide) for guide in (ref_guide, src_guide))
+        ref, src = (planar_conv1x1(self.half_features, guide) for guide in (ref_guide, src_guide))
         warped = warp_to_ref(src, start_px / 2)
-        near = _near_correlation(ref.float(), warped.float())
-        lifted = _doubled(self.half_hidden(hidden))
-        relief = _relief(start_px)[:, None] / DISPARITY_SCALE_PX
-        seen = torch.cat((near.to(ref_guide.dtype), ref_guide + lifted, relief.to(ref_guide.dtype)), dim=1)
-        fine = self.half_enter(seen)
-        return half_px + self.half_residual(fine)[:, 0].float() * VOLUME_STEP_PX / 2, fine
+        near = _near_correlation(ref.float(), warped.float()).to(ref_guide.dtype)
+        relief = (_relief(start_px)[:, None] / DISPARITY_SCALE_PX).to(ref_guide.dtype)
+        fine = self._entered(near, _doubled(self.half_hidden(hidden)).add_(ref_guide), relief)
+        # One convolution for three channels: a processor computes sixteen at a time.
+        heads = (self.half_residual, self.half_heads)
+        weight, bias = (torch.cat([getattr(head, name) for head in heads]) for name in ("weight", "bias"))
+        read = functional.conv2d(fine, weight, bias, padding=1).float().contiguous()
+        return half_px + read[:, 0] * VOLUME_STEP_PX / 2, fine, read[:, 1:]
+
+    def _entered(self, near: Tensor, guide: Tensor, relief: Tensor) -> Tensor:
+        if not may_overwrite():
+            entered: Tensor = self.half_enter(torch.cat((near, guide, relief), dim=1))
+            return entered
+        # In two parts: laying 53 channels out side by side takes longer than convolving them.
+        first = cast(nn.Conv2d, self.half_enter[0])
+        of_near, of_guide, of_relief = first.weight.split((near.shape[1], GUIDE, 1), dim=1)
+        by_guide = functional.conv2d(guide, of_guide, first.bias, padding=1)
+        rest, of_rest = torch.cat((near, relief), dim=1), torch.cat((of_near, of_relief), dim=1)
+        entered = self.half_enter[1:](by_guide.add_(functional.conv2d(rest, of_rest, padding=1)))
+        return entered
 
 
 def _around(volume_BDHW: Tensor, position_BHW: Tensor) -> Tensor:
@@ -268,8 +290,8 @@ def _near_correlation(ref_BCHW: Tensor, warped_BCHW: Tensor) -> Tensor:
     grouped = (x.reshape(batch, HALF_GROUPS, -1, height, width) for x in (ref_BCHW, warped_BCHW))
     ref, warped = (x * (x * x).sum(dim=2, keepdim=True).add(1e-6).rsqrt() for x in grouped)
     padded = functional.pad(warped, (HALF_REACH, HALF_REACH))
-    steps = range(2 * HALF_REACH + 1)
-    return torch.cat([(ref * padded[..., first : first + width]).sum(dim=2) for first in steps], dim=1)
+    near_BGDHW = correlate_at(ref, padded, range(2 * HALF_REACH + 1))
+    return near_BGDHW.transpose(1, 2).flatten(1, 2)
 
 
 def _doubled(x: Tensor) -> Tensor:

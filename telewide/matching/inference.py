@@ -21,17 +21,15 @@ from torch.nn import functional
 from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
-from telewide.matching.networks import SIZE_MULTIPLE_PX, NetworkOutput, StereoNetwork, prepare_view
-from telewide.matching.sampling import pad_to_multiple, warp_to_ref
-from telewide.matching.volume import expect_disparity_at_mode, peak_share, shear_to_src
+from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
+from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
+from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
 
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
 MAX_TILE_PIXELS = 2_500_000
 LEAST_BF16_GAIN = 1.2
-AGREEMENT_PX = 3.0
-"""Difference of the two views' disparities at which agreement has fallen to nothing."""
 _may_use_bf16: ContextVar[bool] = ContextVar("may_use_bf16", default=True)
 
 
@@ -163,30 +161,13 @@ def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window
     ref, src = (pad_to_multiple(view, multiple=GRID_PX) for view in (ref, src))
     with low_precision(ref.device):
         output = network(ref, src, window)
-    disparity_px = output.disparity_px.float()
-    src_px = expect_disparity_at_mode(shear_to_src(output.logits_BDHW, window=window), window=window)
-    seen_px = warp_to_ref(_enlarge(src_px, mode="nearest"), disparity_px)[:, 0]
-    gap_px = (disparity_px - seen_px).abs()
-    confidence, is_seen = _what_it_says(output, gap_px)
+    gap_px = left_right_gap_px(output, window)
+    heads = output.heads_BCHW
+    confidence, hidden = measured_confidence(output, gap_px) if heads is None else learned_confidence(heads)
+    is_seen = (gap_px < AGREEMENT_PX) & (hidden < 0.5)
     cut = (0, slice(height), slice(width))
     surprise = -output.logits_BDHW[0].float().log_softmax(dim=0)
-    return disparity_px[cut], confidence[cut], is_seen[cut], surprise
-
-
-def _what_it_says(output: NetworkOutput, gap_px: Tensor) -> tuple[Tensor, Tensor]:
-    """(B, H, W) confidence and whether src sees the pixel: learned, or by how the views agree where nothing was."""
-    agrees = gap_px < AGREEMENT_PX
-    if output.heads_BCHW is not None:
-        sure, hidden = output.heads_BCHW.float().unbind(dim=1)
-        return sure.sigmoid(), agrees & (hidden < 0)
-    sharpness = _enlarge(peak_share(output.logits_BDHW), mode="bilinear")[:, 0]
-    return sharpness * (1 - gap_px / AGREEMENT_PX).clamp(min=0), agrees
-
-
-def _enlarge(map_Bhw: Tensor, *, mode: str) -> Tensor:
-    if mode == "nearest":
-        return functional.interpolate(map_Bhw[:, None], scale_factor=VOLUME_STEP_PX, mode="nearest")
-    return functional.interpolate(map_Bhw[:, None], scale_factor=VOLUME_STEP_PX, mode=mode, align_corners=False)
+    return output.disparity_px.float()[cut], confidence[cut], is_seen[cut], surprise
 
 
 def _falls_inside(disparity_px: FloatImage) -> NDArray[np.bool_]:

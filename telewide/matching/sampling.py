@@ -81,7 +81,7 @@ def upsample_convex(values_BHW: Tensor, weights_BCHW: Tensor, *, factor: int) ->
     fine = torch.zeros_like(scores[:, 0])
     for neighbour in range(9):
         row, column = divmod(neighbour, 3)
-        fine = torch.addcmul(fine, scores[:, neighbour], padded[..., row : row + height, column : column + width])
+        fine.addcmul_(scores[:, neighbour], padded[..., row : row + height, column : column + width])
     return functional.pixel_shuffle(fine / scores.sum(dim=1), factor)[:, 0]
 
 

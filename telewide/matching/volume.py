@@ -7,6 +7,8 @@ Letters: B batch, C channels, G groups, D planes, H W feature grid.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
@@ -44,8 +46,26 @@ def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, grou
     ref, src = _unit_groups(ref_BCHW, groups), _unit_groups(src_BCHW, groups)
     shifts = _shifts(window)
     padded = functional.pad(src, (max(shifts[-1], 0), max(-shifts[0], 0)))
-    volume_BGDHW: Tensor = _Correlation.apply(ref, padded, shifts)  # type: ignore[no-untyped-call]
-    return volume_BGDHW.to(ref_BCHW.dtype)
+    return correlate_at(ref, padded, _first_columns(shifts)).to(ref_BCHW.dtype)
+
+
+def correlate_at(ref_BGKHW: Tensor, padded_BGKHW: Tensor, columns: Sequence[int]) -> Tensor:
+    """Inner products over K channels of ref with as wide a part of src, at several places.
+
+    Args:
+        ref_BGKHW: (B, G, K, H, W).
+        padded_BGKHW: (B, G, K, H, W + P) src.
+        columns: D columns of src, at most P, each of which comes to lie under ref's column 0.
+
+    Returns:
+        (B, G, D, H, W).
+    """
+    if torch.compiler.is_compiling():  # for export: ONNX would scatter each sum in place into a whole volume
+        width = ref_BGKHW.shape[-1]
+        seen = (padded_BGKHW[..., first : first + width] for first in columns)
+        return torch.stack([(ref_BGKHW * part).sum(dim=2) for part in seen], dim=2)
+    volume_BGDHW: Tensor = _Correlation.apply(ref_BGKHW, padded_BGKHW, columns)  # type: ignore[no-untyped-call]
+    return volume_BGDHW
 
 
 def _shifts(window: Window) -> range:
@@ -54,28 +74,25 @@ def _shifts(window: Window) -> range:
 
 
 class _Correlation(torch.autograd.Function):
-    """Inner products over K channels at every shift, added up in place: several times faster than product and sum.
-
-    ref is (B, G, K, H, W); src is padded to (B, G, K, H, W + P); the result is (B, G, D, H, W).
-    """
+    """:func:`correlate_at`, added up in place: several times faster than product and sum."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, ref: Tensor, padded: Tensor, shifts: range) -> Tensor:
+    def forward(ctx: FunctionCtx, ref: Tensor, padded: Tensor, columns: Sequence[int]) -> Tensor:
         ctx.save_for_backward(ref, padded)
-        ctx.shifts = shifts  # type: ignore[attr-defined]
+        ctx.columns = columns  # type: ignore[attr-defined]
         batch, groups, channels, height, width = ref.shape
-        volume = ref.new_zeros((batch, groups, len(shifts), height, width))
-        for plane, first in enumerate(_first_columns(shifts)):
+        volume = ref.new_zeros((batch, len(columns), groups, height, width))
+        for plane, first in enumerate(columns):
             for channel in range(channels):
-                volume[:, :, plane].addcmul_(ref[:, :, channel], padded[:, :, channel, :, first : first + width])
-        return volume
+                volume[:, plane].addcmul_(ref[:, :, channel], padded[:, :, channel, :, first : first + width])
+        return volume.transpose(1, 2)
 
     @staticmethod
     def backward(ctx: FunctionCtx, *grads: Tensor) -> tuple[Tensor, Tensor, None]:
         ref, padded = ctx.saved_tensors  # type: ignore[attr-defined]
         grad_ref, grad_padded = torch.zeros_like(ref), torch.zeros_like(padded)
         width = ref.shape[-1]
-        for plane, first in enumerate(_first_columns(ctx.shifts)):  # type: ignore[attr-defined]
+        for plane, first in enumerate(ctx.columns):  # type: ignore[attr-defined]
             grad = grads[0][:, :, plane, None]
             seen = slice(first, first + width)
             grad_ref.addcmul_(grad, padded[..., seen])

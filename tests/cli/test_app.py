@@ -22,7 +22,7 @@ from telewide.cli.progress import ConsoleObserver
 from telewide.cli.stopping import UNREAD
 from telewide.simulate.captures import write_captures
 
-COMMANDS = ("import", "board", "calibrate", "show", "train", "depth", "run", "simulate")
+COMMANDS = ("import", "board", "calibrate", "show", "train", "depth", "run", "export-model", "simulate")
 
 
 def run_cli(*words: str) -> int:

@@ -1,0 +1,147 @@
+"""A trained network written as an ONNX model for apps, and the proof that it computes the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from telewide import __version__
+from telewide.errors import MissingPartError, QualityError, UsageError, extra_hint
+from telewide.files import replacing
+from telewide.matching.window import Window, check_stated_window
+from telewide.stages.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from telewide.matching.onnx_check import OnnxComparison
+
+MODEL_NAME = "telewide.onnx"
+LEAST_SIDE_PX, MOST_SIDE_PX = 64, 16384
+TOLERANCE = 1e-3
+"""Largest difference from torch: of disparity, px; of confidence and of the probability of being hidden."""
+_PARTS = ("onnx", "onnxruntime", "onnxscript")
+_CHECKED_HW = ((448, 640), (256, 384))
+"""Sizes at which a model of any size is checked, px."""
+
+
+@dataclass(frozen=True)
+class ExportedModel:
+    """A model that was written.
+
+    Attributes:
+        path: the file.
+        network: name of the network.
+        window: disparities it searches, px.
+        hw: height and width of the views it takes, px; None for all multiples of 64.
+        comparisons: with torch, one for each size it was checked at.
+    """
+
+    path: Path
+    network: str
+    window: Window
+    hw: tuple[int, int] | None
+    comparisons: tuple[OnnxComparison, ...]
+
+
+def export_model(
+    weights: Path,
+    path: Path,
+    *,
+    window: Window | None = None,
+    hw: tuple[int, int] | None = None,
+    tell: Callable[[str], None],
+) -> ExportedModel:
+    """Write a network as ONNX, once onnxruntime has computed with it what torch does.
+
+    Args:
+        weights: a weights file, or the run folder of a training.
+        path: the model to write or to replace.
+        window: disparities ``[d_min, d_max)`` that the model searches, px; None for those it was trained for.
+        hw: height and width of the views, px; None for all multiples of 64, which networks pad to.
+        tell: hears how far it is.
+
+    Returns:
+        The file and the comparisons.
+
+    Raises:
+        UsageError: there are no weights, or a window or size that no model can have.
+        InputError: the weights cannot be read.
+        MissingPartError: the extra ``onnx`` is not installed.
+        QualityError: onnxruntime computes something else; nothing was written.
+    """
+    found = RunFolder(weights).weights if weights.is_dir() else weights
+    if not found.is_file():  # like all below, said before torch is imported, which takes seconds
+        raise UsageError(f"{found} does not exist; a run folder with a trained network, or its weights, was expected")
+    _refuse_impossible(window, hw)
+    _require_parts()
+    from telewide.matching.inference import GRID_PX, choose_device
+    from telewide.matching.onnx_check import compare_onnx
+    from telewide.matching.onnx_model import OnnxNetwork, write_onnx
+    from telewide.training.checkpoint import load_weights
+
+    network, card = load_weights(found, device=choose_device("cpu"))
+    model = OnnxNetwork(network, window or card.window).eval()
+    # One of a fixed size pads by itself.
+    metadata = _metadata(card.network, model.window, hw) | {"size_multiple": "1" if hw else str(GRID_PX)}
+    tell(f"exporting {card.network}, which takes a minute or two")
+    with replacing(path) as temporary:
+        write_onnx(model, temporary, hw=hw, metadata=metadata)
+        tell("comparing it with torch")
+        comparisons = tuple(compare_onnx(temporary, model, hw=size) for size in ((hw,) if hw else _CHECKED_HW))
+        refuse_difference(path, comparisons)
+    return ExportedModel(path, network=card.network, window=model.window, hw=hw, comparisons=comparisons)
+
+
+def refuse_difference(path: Path, comparisons: Sequence[OnnxComparison]) -> None:
+    """Refuse a model that does not compute what torch does.
+
+    Args:
+        path: where it would be written.
+        comparisons: with torch.
+
+    Raises:
+        QualityError: a map differs by more than ``TOLERANCE``, or holds what is no number.
+    """
+    largest = np.max([(comparison.largest_px, comparison.largest_share) for comparison in comparisons])
+    if not largest <= TOLERANCE:
+        raise QualityError(
+            f"{path} was not written: onnxruntime differs from torch by {largest:.2g} px or in a probability, "
+            f"{TOLERANCE:g} at most was expected",
+            hint="install the versions of constraints.txt, which were seen to agree",
+        )
+
+
+def _refuse_impossible(window: Window | None, hw: tuple[int, int] | None) -> None:
+    if window is not None:
+        try:
+            check_stated_window(window)
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+    if hw is not None and not all(LEAST_SIDE_PX <= side <= MOST_SIDE_PX for side in hw):
+        raise UsageError(f"{hw[1]}x{hw[0]}: sides of {LEAST_SIDE_PX} to {MOST_SIDE_PX} px were expected")
+
+
+def _require_parts() -> None:
+    missing = [name for name in _PARTS if find_spec(name) is None]
+    if missing:
+        raise MissingPartError(
+            f"models are exported with {', '.join(_PARTS)}; not installed: {', '.join(missing)}",
+            hint=extra_hint("onnx"),
+        )
+
+
+def _metadata(network: str, window: Window, hw: tuple[int, int] | None) -> dict[str, str]:
+    """Facts that whoever runs the model needs, as texts: ONNX has no other kind."""
+    return {
+        "telewide_version": __version__,
+        "network": network,
+        "window_px": f"{window[0]},{window[1]}",
+        "size_px": f"{hw[1]}x{hw[0]}" if hw else "any",
+        "standardisation": "within the model: each channel of each view to mean 0 and deviation 1",
+        "inputs": "ref, src: float32 (1, 3, H, W), sRGB in [0, 1], channels R, G, B; rectified, ref the sharp view",
+        "outputs": "disparity_px = x_ref - x_src; confidence in [0, 1]; hidden: probability that src does not see it",
+    }

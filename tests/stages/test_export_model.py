@@ -1,0 +1,137 @@
+"""Export to ONNX: what is refused, what the file states, and that onnxruntime computes what telewide does."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from telewide.cli import main
+from telewide.errors import QualityError
+from telewide.matching.inference import full_precision, match_with_network
+from telewide.matching.networks import StereoNetwork, build_network
+from telewide.matching.onnx_check import OnnxComparison, compare_onnx, example_views
+from telewide.matching.onnx_model import OnnxNetwork
+from telewide.matching.window import Window
+from telewide.stages import export_model as stage
+from telewide.training.checkpoint import WeightsCard, save_weights
+
+WINDOW: Window = (-8, 24)
+MISSING = [name for name in ("onnx", "onnxruntime", "onnxscript") if find_spec(name) is None]
+needs_onnx = pytest.mark.skipif(bool(MISSING), reason=f"the extra onnx is not installed: {', '.join(MISSING)}")
+
+
+def network_with_all_branches(name: str) -> StereoNetwork:
+    """A network none of whose branches is still zero."""
+    network = build_network(name).eval()
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.01 * torch.randn(parameter.shape, generator=generator))
+    return network
+
+
+def weights_of(name: str, folder: Path) -> Path:
+    path = folder / f"{name}.safetensors"
+    save_weights(network_with_all_branches(name), path, card=WeightsCard(name, WINDOW, {}, {}))
+    return path
+
+
+def code_of(*words: str) -> int:
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    return int(left.value.code or 0)
+
+
+@pytest.mark.parametrize("name", ["guided", "lite"])
+@pytest.mark.parametrize("hw", [(70, 100), (64, 128)])
+def test_the_exported_maps_are_those_of_a_match(name: str, hw: tuple[int, int]) -> None:
+    network = network_with_all_branches(name)
+    ref, src = example_views(hw, WINDOW)
+    with full_precision(), torch.inference_mode():
+        disparity_px, confidence, hidden = OnnxNetwork(network, WINDOW)(torch.from_numpy(ref), torch.from_numpy(src))
+        matched = match_with_network(*(v[0].transpose(1, 2, 0) for v in (ref, src)), network=network, window=WINDOW)
+    assert np.abs(disparity_px[0].numpy() - matched.disparity_px).max() < 1e-3
+    assert np.abs(confidence[0].numpy() - matched.confidence).max() < 1e-3
+    assert not (matched.valid & (hidden[0].numpy() > 0.501)).any()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (("nowhere",), 2, "nowhere does not exist"),
+        (("--window", "1,2"), 2, "multiples of 4"),
+        (("--window", "wide"), 2, "0,64"),
+        (("--size", "huge"), 2, "1280x640"),
+        (("--size", "8x8"), 2, "64 to"),
+        (("--out", "model.pt"), 2, ".onnx"),
+    ],
+)
+def test_what_no_model_can_be_is_refused(
+    words: tuple[str, ...], code: int, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = words if words[0] == "nowhere" else (str(weights_of("lite", tmp_path)), *words)
+    assert code_of("export-model", *given) == code
+    assert told in capsys.readouterr().err
+
+
+def test_a_missing_extra_is_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(stage, "find_spec", lambda name: None)
+    model = tmp_path / "m.onnx"
+    assert code_of("export-model", str(weights_of("lite", tmp_path)), "--out", str(model)) == 5
+    told = capsys.readouterr().err
+    assert "onnxruntime" in told
+    assert ".[onnx]" in told
+    assert "Traceback" not in told
+    assert not model.exists()
+
+
+@pytest.mark.parametrize("largest", [(0.002, 0.0), (0.0, 0.002), (float("nan"), 0.0)])
+def test_a_model_that_differs_is_refused(largest: tuple[float, float]) -> None:
+    same, other = (OnnxComparison((64, 64), *both, 1.0, 1.0, 1) for both in ((1e-4, 1e-4), largest))
+    stage.refuse_difference(Path("m.onnx"), [same])
+    with pytest.raises(QualityError, match="not written"):
+        stage.refuse_difference(Path("m.onnx"), [same, other])
+
+
+@needs_onnx
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "window"), [("guided", (0, 16)), ("guided", (-20, 12)), ("lite", (-4, 20))])
+def test_a_model_of_any_size_computes_what_torch_does(name: str, window: Window, tmp_path: Path) -> None:
+    """At two sizes: the command refuses to write what differs by more than 1e-3 px."""
+    done = stage.export_model(weights_of(name, tmp_path), tmp_path / "m.onnx", window=window, tell=lambda text: None)
+    assert len({comparison.hw for comparison in done.comparisons}) == 2
+    assert done.path.stat().st_size < 16e6
+
+
+@needs_onnx
+@pytest.mark.slow
+def test_the_documented_example_runs(repo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = weights_of("lite", tmp_path)
+    assert code_of("export-model", str(path), "--size", "384x256", "--out", "depth.onnx", "-q") == 0
+    for photo in ("tele.jpg", "wide.jpg"):
+        shutil.copy(repo / "examples" / "captures" / "000" / photo, tmp_path)
+    [example] = re.findall(r"```python\n(.*?)```", (repo / "docs" / "onnx.md").read_text(), re.DOTALL)
+    assert len(example.splitlines()) <= 16
+    (tmp_path / "example.py").write_text(example)
+    held = runpy.run_path("example.py")
+    assert held["disparity_px"].shape == held["tele"].size[::-1]
+    facts = held["session"].get_modelmeta().custom_metadata_map
+    assert {name: facts[name] for name in ("network", "window_px", "size_px", "size_multiple")} == {
+        "network": "lite",
+        "window_px": "-8,24",
+        "size_px": "384x256",
+        "size_multiple": "1",
+    }
+    # Another network than the one it was made from: the comparison sees it.
+    other = OnnxNetwork(build_network("lite", seed=1).eval(), WINDOW)
+    assert compare_onnx(Path("depth.onnx"), other, hw=(256, 384)).largest_px > 0.01
