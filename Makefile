@@ -9,7 +9,7 @@ MINIMA_TESTS := test_plain test_options test_npz test_files geometry/test_rig ge
 	capture/test_images capture/test_raw boards/test_detection calibration/test_bundle calibration/test_rig_file \
 	correction/test_colour depth/test_export depth/test_preview pages/test_report cli/test_board cli/test_terminal \
 	matching/test_volume matching/test_lite training/test_checkpoint
-# make bench RUNS="run other/run" measures their networks too. Two of its four tables need data sets, which you fetch:
+# make bench RUNS="run other/run" measures their networks too. Three of its five tables need data sets, which you fetch:
 #   $(DATA)/middlebury_2006_third/<scene>/{view1,view5,disp1,disp5}.png   vision.middlebury.edu/stereo/data/scenes2006,
 #                                                                      the 21 scenes of a third of the size
 #   $(DATA)/p30/                                                       captures of a phone, in any layout of the README
@@ -67,7 +67,8 @@ bench: $(STAMP)
 	then $(BIN)/telewide benchmark middlebury "$(DATA)/middlebury_2006_third" --split test $(RUN_FLAGS); \
 	else echo "left out: no Middlebury 2006 scenes at $(DATA)/middlebury_2006_third; see the head of the Makefile" >&2; fi
 	@if test -d "$(DATA)/p30"; \
-	then $(BIN)/telewide benchmark matches "$(DATA)/p30" --uncorrected $(RUN_FLAGS); \
+	then $(BIN)/telewide benchmark matches "$(DATA)/p30" --uncorrected $(RUN_FLAGS) && \
+	$(BIN)/telewide benchmark marks "$(DATA)/p30" --marks tests/benchmark/p30_marks.yaml $(RUN_FLAGS); \
 	else echo "left out: no captures at $(DATA)/p30; see the head of the Makefile" >&2; fi
 
 # Continues where it was stopped; some hours bring it near its end.

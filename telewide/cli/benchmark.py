@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -104,8 +104,7 @@ def matches(
     if uncorrected:
         entrants.insert(1, Entrant(semiglobal_contender(), is_corrected=False))
     folders = [_run_of(source) for source in sources]
-    with_pairs = (folder for folder in folders if RunFolder(folder).pairs.is_dir())
-    with _folder_or_temporary(next(with_pairs, None)) as pairs_run:
+    with _run_with_pairs(sources) as pairs_run:
         report = benchmark_matches(
             captures,
             entrants,
@@ -116,6 +115,49 @@ def matches(
             rig=rig,
         )
     _hand_over(report, matches_table(report), json_file)
+
+
+@benchmark_app.command(
+    epilog="Example: `telewide benchmark marks captures/ --marks marks.yaml --run run --sheets sheets`"
+)
+def marks(
+    captures: Annotated[Path, typer.Argument(help="Folder of the captures.")],
+    *,
+    marks: Annotated[Path, typer.Option(metavar="FILE", help="Marks made by hand on the tele photos, YAML.")],
+    run: RunOption = None,
+    sheets: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="A picture of each capture there: marks, and every disparity at one scale."
+        ),
+    ] = None,
+    rig: RigOption = None,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Judge depth by marks made by hand: flatness of plain planes, thin things, places of depth edges."""
+    from telewide.benchmark.contenders import all_contenders
+    from telewide.benchmark.marked import benchmark_marks, marks_table
+    from telewide.benchmark.marks import read_marks
+    from telewide.stages.depth import recipe_of_depth
+    from telewide.stages.run_folder import RunFolder
+
+    made_by_hand, sources = read_marks(marks), run or []
+    contenders = all_contenders(sources, device=device)
+    with _run_with_pairs(sources) as pairs_run:
+        report = benchmark_marks(
+            captures,
+            contenders,
+            made_by_hand,
+            run=RunFolder(pairs_run),
+            recipe=recipe_of_depth(pairs_run, captures, weights=sources[0] if sources else None),
+            tell=_tell,
+            rig=rig,
+            sheets=sheets,
+        )
+    _hand_over(report, marks_table(report), json_file)
+    if sheets is not None:
+        _tell(f"wrote pictures to {sheets}")
 
 
 @benchmark_app.command(epilog="Example: `telewide benchmark metres --run run --json metres.json`")
@@ -189,6 +231,16 @@ def _names(text: str | None) -> tuple[str, ...]:
 def _run_of(source: Path) -> Path:
     """The run folder itself, or the one a weights file lies in."""
     return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source
+
+
+@contextmanager
+def _run_with_pairs(sources: Sequence[Path]) -> Iterator[Path]:
+    """The first run that holds corrected pairs, or a temporary one."""
+    from telewide.stages.run_folder import RunFolder
+
+    folders = (_run_of(source) for source in sources)
+    with _folder_or_temporary(next((folder for folder in folders if RunFolder(folder).pairs.is_dir()), None)) as place:
+        yield place
 
 
 @contextmanager

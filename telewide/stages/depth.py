@@ -248,7 +248,7 @@ def _depth_of(
     if options.trusts_focus and known is None:
         told = "EXIF states no distance of the focus (SubjectDistance), so none is used"
         call.observer.warned(f"{item.capture.name}: {told}")
-    shot = _shot(item, prepared, known, matcher=matcher)
+    shot = shot_geometry(item, prepared, matcher=matcher, known=known)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -270,10 +270,17 @@ def _stated_focus(item: PreparedPair) -> KnownDistance | None:
     return focused_at(facts.subject_distance_m, hw=facts.hw)
 
 
-def _shot(
-    item: PreparedPair, prepared: PreparedSet, known: KnownDistance | None, *, matcher: Matcher
+def shot_geometry(
+    item: PreparedPair, prepared: PreparedSet, *, matcher: Matcher, known: KnownDistance | None = None
 ) -> ShotGeometry | None:
-    """Geometry of the pair to its photos, and precision of its depths; None where it was rectified when it came."""
+    """Sum up how a pair lies to its photos, and how precise its depths are; None where it was rectified when it came.
+
+    Args:
+        item: the pair.
+        prepared: all pairs of its set, which show how far the lens moves.
+        matcher: what makes its disparities.
+        known: a point of known distance; None without.
+    """
     if item.alignment is None or prepared.rig is None:
         return None
     aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
