@@ -13,8 +13,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import io
-import json
-import math
 import os
 import platform
 import re
@@ -26,7 +24,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import TypeVar
 
 import yaml
 
@@ -36,7 +34,6 @@ from telewide.ranges import MAX_FILE_BYTES
 Content = TypeVar("Content")
 
 MAX_YAML_BYTES = 1 << 18
-MAX_JSON_BYTES = 1 << 24
 MAX_DEPTH = 40
 MAX_YAML_NODES = 50_000
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -205,44 +202,6 @@ def parse_yaml(text: str, *, source: str, error: type[TelewideError]) -> object:
     return content
 
 
-def read_json(path: Path) -> object:
-    """Read a JSON file of at most `MAX_JSON_BYTES`.
-
-    Args:
-        path: the file.
-
-    Returns:
-        Plain data; every number in it is finite and fits 64 bits.
-
-    Raises:
-        UsageError: there is no such file.
-        InputError: no regular file, or no such JSON.
-    """
-    data = read_regular(path, most_bytes=MAX_JSON_BYTES)
-    try:
-        return parse_json(data)
-    except ValueError as error:
-        raise InputError(f"{path} cannot be read as JSON: {error}") from error
-
-
-def parse_json(text: str | bytes) -> object:
-    """Parse JSON that somebody else wrote.
-
-    Args:
-        text: one value; bytes are UTF-8.
-
-    Returns:
-        Plain data; every number in it is finite and fits 64 bits.
-
-    Raises:
-        ValueError: no JSON, a number that does not exist or is too large, or nested too deeply.
-    """
-    try:
-        return json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_finite)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-
-
 class _PlainLoader(yaml.SafeLoader):
     """Plain data only: no dates, whose slips would be errors."""
 
@@ -298,23 +257,6 @@ def _expanded_nodes(value: object, sizes: dict[int, int], depth: int = 0) -> int
 
 def _shortened(text: str) -> str:
     return repr(text if len(text) <= _MOST_SHOWN else text[:_MOST_SHOWN] + "...")
-
-
-def _refuse_constant(word: str) -> NoReturn:
-    raise ValueError(f"{word} is no number")
-
-
-def _whole(digits: str) -> int:
-    if len(digits) > len(str(_LARGEST_WHOLE)) or abs(int(digits)) >= _LARGEST_WHOLE:
-        raise ValueError("a whole number of more than 64 bits")
-    return int(digits)
-
-
-def _finite(digits: str) -> float:
-    value = float(digits)
-    if not math.isfinite(value):
-        raise ValueError(f"{digits[:20]} is no finite number")
-    return value
 
 
 @contextmanager

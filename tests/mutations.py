@@ -24,10 +24,10 @@ from telewide.capture.images import read_image, read_pfm, write_pfm
 from telewide.correction.blur import BlurEstimate
 from telewide.correction.verdict import PairReport
 from telewide.depth.export import read_disparity
-from telewide.files import read_json, read_yaml
+from telewide.files import read_yaml
 from telewide.geometry.rectification import rectified_geometry
-from telewide.plain import from_plain
 from telewide.recipe import load_recipe
+from telewide.records import checked, read_json
 from telewide.text import json_text
 from telewide.training.log import read_log
 
@@ -244,7 +244,7 @@ def _read_json(path: Path) -> None:
         return
     content = read_json(path)
     try:
-        from_plain(PairReport if path.name == "report.json" else BlurEstimate, content)
+        checked(content, PairReport if path.name == "report.json" else BlurEstimate)
     except ValueError:
         return  # its readers make it again
 

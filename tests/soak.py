@@ -36,8 +36,8 @@ from PIL import Image
 import telewide
 from telewide.capture.images import read_image, read_pfm
 from telewide.cli import main as call_telewide
-from telewide.files import read_json
 from telewide.npz import read_npz
+from telewide.records import read_json
 from telewide.simulate.captures import write_captures
 from telewide.simulate.phone import write_phone
 

@@ -26,7 +26,7 @@ LAYERS = {
     "errors": 0,
     "options": 0,
     "npz": 0,
-    "plain": 0,
+    "records": 0,
     "ranges": 0,
     "assets": 0,
     "cores": 0,

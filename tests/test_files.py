@@ -4,7 +4,6 @@ hangs, nothing grows beyond all measure.
 
 from __future__ import annotations
 
-import json
 import os
 import socket
 import time
@@ -22,13 +21,12 @@ from telewide.files import (
     MAX_DEPTH,
     MAX_YAML_BYTES,
     once_a_file,
-    parse_json,
     parse_yaml,
-    read_json,
     read_regular,
     read_yaml,
 )
 from telewide.recipe import load_recipe
+from telewide.records import read_json
 
 
 def plain(text: str) -> object:
@@ -152,33 +150,6 @@ def test_yaml_that_is_too_large_is_not_parsed(tmp_path: Path) -> None:
         read_yaml(path)
     path.write_bytes(b"#" * MAX_YAML_BYTES)
     assert read_yaml(path) is None
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "{", "[" * 100_000, '{"a": ' * 50_000, "Infinity", "[NaN]", "1e400", "1" + "0" * 400, str(1 << 63), '"\x00"'],
-)
-def test_json_that_cannot_be_used_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ValueError, match=r"."):
-        parse_json(text)
-    path = tmp_path / "x.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match=r"x\.json cannot be read as JSON"):
-        read_json(path)
-
-
-def test_json_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "x.json"
-    path.write_bytes(b'"\xff\xfe"')
-    with pytest.raises(InputError, match="cannot be read as JSON"):
-        read_json(path)
-
-
-def test_json_comes_back_as_it_was_written(tmp_path: Path) -> None:
-    content = {"a": [1, -2.5, (1 << 63) - 1, None, True, "é"], "b": {}}
-    path = tmp_path / "x.json"
-    path.write_text(json.dumps(content))
-    assert read_json(path) == content
 
 
 class TestOnceAFile:

@@ -26,7 +26,7 @@ from telewide.stages.pairs import PreparedPair
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
-from telewide.stages.training_record import read_record
+from telewide.stages.training_record import read_training
 
 UNCORRECTED = "uncorrected"
 ALL, HELD_OUT = "all", "held out"
@@ -125,7 +125,7 @@ def matches_table(report: BenchmarkReport) -> str:
 
 def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
     """Captures that none of the trainings has seen."""
-    records = [record for record in map(read_record, runs) if record is not None]
+    records = [record for record in map(read_training, runs) if record is not None]
     if not records or len(records) < len(runs):
         return frozenset()
     return frozenset.intersection(*(frozenset(record.held_out) for record in records))

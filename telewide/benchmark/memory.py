@@ -7,7 +7,6 @@ The process imports what it needs, makes two views, notes its peak, matches them
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,6 +19,8 @@ from telewide.cores import Device
 from telewide.errors import TelewideError
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
+from telewide.records import checked, parse_json
+from telewide.text import json_text
 
 SGM = "sgm"
 _STATUS = Path("/proc/self/status")
@@ -63,13 +64,12 @@ def measure_peak(case: MemoryCase) -> MemoryPeak:
     Raises:
         TelewideError: the process failed, as it does when it runs out of memory.
     """
-    command = [sys.executable, "-m", "telewide.benchmark.memory", json.dumps(asdict(case))]
+    command = [sys.executable, "-m", "telewide.benchmark.memory", json_text(asdict(case))]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
         raise TelewideError(f"measuring the memory of {case.matcher} failed with code {done.returncode}: {last}")
-    answer = json.loads(done.stdout.splitlines()[-1])
-    return MemoryPeak(answer["process_bytes"], answer["gpu_bytes"])
+    return checked(parse_json(done.stdout.splitlines()[-1]), MemoryPeak)
 
 
 def measure_peak_here(case: MemoryCase) -> MemoryPeak:
@@ -108,17 +108,5 @@ def peak_resident_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
-def _case_from(text: str) -> MemoryCase:
-    content = json.loads(text)
-    (height, width), (first, end) = content["hw"], content["window"]
-    return MemoryCase(
-        matcher=content["matcher"],
-        precision=content["precision"],
-        hw=(height, width),
-        window=(first, end),
-        device=content["device"],
-    )
-
-
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(asdict(measure_peak_here(_case_from(sys.argv[1])))) + "\n")
+    sys.stdout.write(json_text(asdict(measure_peak_here(checked(parse_json(sys.argv[1]), MemoryCase)))) + "\n")

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import re
 import shutil
@@ -18,7 +17,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 from telewide.capture.damage import why_damaged
 from telewide.capture.exif import PhotoFacts, read_photo_facts
@@ -28,8 +26,9 @@ from telewide.capture.layout import TRUTH, VIEWS
 from telewide.capture.lens_choice import ChosenLenses, LensChoice
 from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import read_json, replacing, write_text
+from telewide.files import replacing
 from telewide.folders import fresh_folder
+from telewide.records import Name, Record, read_record, write_record
 
 FORMAT = 1
 PAIR_FILE = "pair.json"
@@ -45,6 +44,28 @@ _TAKEN_NAMES = frozenset({*VIEWS, TRUTH, FACTS_FILE})
 # and all RAW photos of a phone have the same number of bytes.
 _SourceKey = tuple[str, int, str]
 Tick = Callable[[int, int], None]
+
+
+class BroughtPhoto(Record):
+    """What is recorded of one photo: its name now and before, and what it states."""
+
+    file: Name
+    source: Name
+    bytes: int
+    taken: str | None
+    image_pipeline: Name | None = None
+    focal_length_mm: float | None = None
+    f35_mm: float | None = None
+    hw: tuple[int, int] | None = None
+
+
+class ImportRecord(Record):
+    """Content of ``pair.json``: the two photos of an imported capture, and the time between them."""
+
+    format: int = FORMAT
+    seconds_apart: float
+    tele: BroughtPhoto
+    wide: BroughtPhoto
 
 
 @dataclass(frozen=True)
@@ -122,11 +143,12 @@ def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick
     for done, planned in enumerate(plan.pairs, start=1):
         try:
             with fresh_folder(captures) as partial:
-                entries = {
-                    view: _bring(photo, partial, view, is_linked=is_linked)
+                tele, wide = (
+                    _bring(photo, partial, view, is_linked=is_linked)
                     for view, photo in (("tele", planned.pair.tele), ("wide", planned.pair.wide))
-                }
-                write_text(partial / PAIR_FILE, _record(planned, entries))
+                )
+                apart_s = round(planned.pair.seconds_apart, 3)
+                write_record(partial / PAIR_FILE, ImportRecord(seconds_apart=apart_s, tele=tele, wide=wide))
                 partial.rename(captures / planned.name)
         except OSError as error:
             raise UsageError(f"{captures / planned.name} cannot be written: {error.strerror or error}") from error
@@ -137,10 +159,10 @@ def carry_out(plan: ImportPlan, captures: Path, *, is_linked: bool = False, tick
 def is_imported(folder: Path) -> bool:
     """Whether a capture folder was made by an import: its photos are as the phone took them."""
     try:
-        record = read_json(folder / PAIR_FILE)
+        read_record(folder / PAIR_FILE, ImportRecord)
     except TelewideError:  # no record, or one that cannot be read
         return False
-    return isinstance(record, dict) and "seconds_apart" in record
+    return True
 
 
 def _check_folders(dcim: Path, captures: Path) -> None:
@@ -266,12 +288,11 @@ def _imported(captures: Path) -> dict[_SourceKey, str]:
     found: dict[_SourceKey, str] = {}
     for path in sorted(captures.glob(f"*/{PAIR_FILE}")):
         try:
-            record = cast(dict[str, Any], read_json(path))
-            for view in ("tele", "wide"):
-                source = record[view]
-                found[str(source["source"]), int(source["bytes"]), str(source["taken"] or "")] = path.parent.name
-        except (TelewideError, ValueError, KeyError, TypeError):  # not of this kind: its photos come again
+            record = read_record(path, ImportRecord)
+        except TelewideError:  # not of this kind: its photos come again
             continue
+        for photo in (record.tele, record.wide):
+            found[photo.source, photo.bytes, photo.taken or ""] = path.parent.name
     return found
 
 
@@ -284,7 +305,7 @@ def _free_name(tele: Path, taken: set[str]) -> str:
     return name
 
 
-def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> dict[str, object]:
+def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> BroughtPhoto:
     """Bring one photo into a folder and return its record."""
     source, name = photo.path, f"{view}{photo.path.suffix.lower()}"
     if not os.access(source, os.R_OK):
@@ -294,16 +315,16 @@ def _bring(photo: RollPhoto, folder: Path, view: str, *, is_linked: bool) -> dic
             shutil.copy2(source, temporary)
             temporary.chmod(temporary.stat().st_mode | stat.S_IWUSR)  # the copy is the user's, even of a locked photo
     facts = photo.facts
-    return {
-        "file": name,
-        "source": source.name,
-        "bytes": source.stat().st_size,
-        "taken": _when(facts) or None,
-        "image_pipeline": facts.pipeline,
-        "focal_length_mm": facts.focal_length_mm,
-        "f35_mm": facts.f35_mm,
-        "hw": facts.hw,
-    }
+    return BroughtPhoto(
+        file=name,
+        source=source.name,
+        bytes=source.stat().st_size,
+        taken=_when(facts) or None,
+        image_pipeline=facts.pipeline,
+        focal_length_mm=facts.focal_length_mm,
+        f35_mm=facts.f35_mm,
+        hw=facts.hw,
+    )
 
 
 def _has_linked(source: Path, link: Path) -> bool:
@@ -312,8 +333,3 @@ def _has_linked(source: Path, link: Path) -> bool:
     except OSError:  # another file system, or one without links
         return False
     return True
-
-
-def _record(planned: PlannedPair, entries: dict[str, dict[str, object]]) -> str:
-    record = {"format": FORMAT, "seconds_apart": round(planned.pair.seconds_apart, 3), **entries}
-    return json.dumps(record, indent=2, ensure_ascii=False) + "\n"

@@ -21,6 +21,7 @@ from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.points.bandwidth import SIGMA_PER_FACTOR_PX
 from telewide.points.matches import Matches
 from telewide.points.registered import Patches, cut_patches, find_patches
+from telewide.records import Figure
 from telewide.srgb import grey
 
 Spectra = NDArray[np.complex64]
@@ -56,8 +57,8 @@ class BlurEstimate:
 
     sigma_px: tuple[float, float]
     angle_rad: float
-    sigma_std_px: tuple[float, float]
-    residual: float
+    sigma_std_px: tuple[Figure, Figure]
+    residual: Figure
     n: int
 
     @property

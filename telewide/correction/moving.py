@@ -23,6 +23,7 @@ from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import matching_unit_px, vertical_misfit_px
 from telewide.points.matches import Matches
 from telewide.points.robust import std_about_zero
+from telewide.records import Figure, Points
 
 _LEAST_MISFIT_PX = 1.5
 _MISFIT_PER_STD = 4.0
@@ -45,9 +46,9 @@ class MovedRegion:
         vertical_px: their median misfit across the baseline, tele px.
     """
 
-    outline_px: FloatArray
+    outline_px: Points
     n: int
-    vertical_px: float
+    vertical_px: Figure
 
 
 def find_moving(matches: Matches, refinement: ShotRefinement, *, rig: StereoRig) -> tuple[MovedRegion, ...]:

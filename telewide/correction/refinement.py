@@ -24,6 +24,7 @@ from telewide.points.epipolar import (
 )
 from telewide.points.matches import Matches, split_matches
 from telewide.points.robust import consensus_start, fit_robustly, numeric_jacobian
+from telewide.records import Figure, Vector
 
 MIN_MATCHES = 20
 """Fewer matches than this carry no correction."""
@@ -73,16 +74,16 @@ class ShotRefinement:
 
     vertical_offset_px: float = 0.0
     scale: float = 1.0
-    rotation_vector: FloatArray = field(default_factory=_no_turn)
+    rotation_vector: Vector = field(default_factory=_no_turn)
     tilt_rad: tuple[float, float] = (0.0, 0.0)
-    translation_direction: FloatArray | None = None
-    vertical_offset_std_px: float = float("nan")
-    scale_std: float = float("nan")
-    rotation_std_rad: FloatArray = field(default_factory=_no_turn)
-    tilt_std_rad: tuple[float, float] = (0.0, 0.0)
-    direction_std_rad: float = 0.0
-    residual_before_px: float = float("nan")
-    residual_after_px: float = float("nan")
+    translation_direction: Vector | None = None
+    vertical_offset_std_px: Figure = float("nan")
+    scale_std: Figure = float("nan")
+    rotation_std_rad: Vector = field(default_factory=_no_turn)
+    tilt_std_rad: tuple[Figure, Figure] = (0.0, 0.0)
+    direction_std_rad: Figure = 0.0
+    residual_before_px: Figure = float("nan")
+    residual_after_px: Figure = float("nan")
     n_matches: int = 0
     is_fitted: bool = False
     is_at_once: bool = True

@@ -26,6 +26,7 @@ from telewide.errors import InputError
 from telewide.points.bandwidth import estimate_asymmetry
 from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.points.similarity import Overlap, find_overlap
+from telewide.records import Figure, Name
 
 if TYPE_CHECKING:
     from telewide.capture.facts import CaptureFacts
@@ -67,15 +68,15 @@ class PairReport:
         reasons: one sentence for every reason the verdict is not good.
     """
 
-    name: str
+    name: Name
     n_matches: int
-    vertical_offset_px: float
-    vertical_slope: float
-    vertical_residual_px: float
+    vertical_offset_px: Figure
+    vertical_slope: Figure
+    vertical_residual_px: Figure
     asymmetry: float | None
-    colour_ratio: tuple[float, float, float]
-    disparity_p02_px: float
-    disparity_p98_px: float
+    colour_ratio: tuple[Figure, Figure, Figure]
+    disparity_p02_px: Figure
+    disparity_p98_px: Figure
     verdict: Verdict
     reasons: tuple[str, ...]
 

@@ -10,7 +10,6 @@ Letters: N points, H W photo.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,6 +28,7 @@ from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.simulate.degrade import Degradation, degrade
 from telewide.simulate.layers import render_pair
 from telewide.simulate.still_life import still_life
+from telewide.text import json_text
 
 TELE_SHARE, WIDE_SHARE = 80 / 36, 27 / 36
 """Focal length over the photo's width: 80 and 27 mm equivalent."""
@@ -115,7 +115,7 @@ def write_phone(
             place, rng, moved if moves else rig, depths_m=depths_m[number % len(depths_m)], cast=cast
         )
         write_image(folder / "truth" / "hidden" / f"{place.name}.png", hidden)
-    write_text(folder / "truth" / "rig.json", json.dumps(rig_truth(rig), indent=2) + "\n")
+    write_text(folder / "truth" / "rig.json", json_text(rig_truth(rig), indent=2) + "\n")
     return rig
 
 

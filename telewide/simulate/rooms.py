@@ -7,7 +7,6 @@ for, the picture of a large aperture, ``truth/<name>/bokeh.png``. Letters: H W p
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,6 +36,7 @@ from telewide.simulate.room_render import ApertureSetting, RoomTracer
 from telewide.simulate.room_scene import Room, Solid
 from telewide.simulate.sensor import Sensor, developed, expose, phone_sensor
 from telewide.srgb import srgb_from_linear
+from telewide.text import json_text
 
 LEAST_BASELINE_M, LARGEST_BASELINE_M = 0.010, 0.015
 DEFAULT_SAMPLES = 6
@@ -139,7 +139,7 @@ def write_rooms(
         shot = _Shot(folder / "captures" / name, moved[name], boards + number, rng)
         _photograph_room(phone, shot, truth=folder / "truth")
         tick()
-    write_text(folder / "truth" / "rig.json", json.dumps(_rig_truth(phone.rig, moved), indent=2) + "\n")
+    write_text(folder / "truth" / "rig.json", json_text(_rig_truth(phone.rig, moved), indent=2) + "\n")
     return phone.rig
 
 
@@ -284,7 +284,7 @@ def _write_bokeh(
         "f_number_of_50mm": BOKEH_F_NUMBER,
         "focus_disparity_px": shot.rig.tele.K[0, 0] * shot.rig.baseline_m / focus_m,
     }
-    write_text(truth / "bokeh.json", json.dumps(facts, indent=2) + "\n")
+    write_text(truth / "bokeh.json", json_text(facts, indent=2) + "\n")
 
 
 def _rig_truth(rig: StereoRig, moved: dict[str, StereoRig]) -> dict[str, object]:

@@ -11,7 +11,6 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 from telewide.calibration.rig_file import StoredRig
 from telewide.calibration.scene_quality import zero_std_px
@@ -22,13 +21,11 @@ from telewide.correction.moving import MovedRegion, find_moving, moving_note
 from telewide.correction.rectify import Rectification, rectify_pair
 from telewide.correction.refinement import ShotRefinement, fit_shot, refined_rig
 from telewide.depth.precision import DepthPrecision, lens_shift_std_share
-from telewide.files import parse_json
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.rig import StereoRig
-from telewide.plain import from_plain
 from telewide.points.photo_matches import find_photo_matches
 from telewide.points.scale import estimate_scale
-from telewide.text import json_text
+from telewide.records import Record, checked, parse_json, record_text
 
 _log = logging.getLogger("telewide")
 
@@ -44,6 +41,16 @@ class ShotFacts:
 
     seconds_between: float | None = None
     asymmetry: float | None = None
+
+
+class ShotRecord(Record):
+    """What an alignment adds to its rig; the file ``shot.json``."""
+
+    tele_hw: tuple[int, int]
+    wide_hw: tuple[int, int]
+    refinement: ShotRefinement
+    asymmetry: AsymmetryEstimate
+    moved: tuple[MovedRegion, ...]
 
 
 @dataclass(frozen=True)
@@ -178,22 +185,15 @@ def plain_rig(rig: StereoRig) -> dict[str, object]:
 
 def alignment_as_json(alignment: Alignment) -> str:
     """Write what an alignment adds to its rig, as JSON; :func:`alignment_from_json` undoes it exactly."""
-    shot = alignment.refinement
-    direction = shot.translation_direction
-    arrays = {
-        "rotation_vector": shot.rotation_vector.tolist(),
-        "rotation_std_rad": shot.rotation_std_rad.tolist(),
-        "translation_direction": None if direction is None else direction.tolist(),
-    }
     rig = alignment.geometry.rig
-    plain = {
-        "tele_hw": list(rig.tele.hw),
-        "wide_hw": list(rig.wide.hw),
-        "refinement": {**vars(shot), **arrays, "notes": list(shot.notes)},
-        "asymmetry": vars(alignment.asymmetry),
-        "moved": [{**vars(region), "outline_px": region.outline_px.tolist()} for region in alignment.moved],
-    }
-    return json_text(plain, indent=2) + "\n"
+    record = ShotRecord(
+        tele_hw=rig.tele.hw,
+        wide_hw=rig.wide.hw,
+        refinement=alignment.refinement,
+        asymmetry=alignment.asymmetry,
+        moved=alignment.moved,
+    )
+    return record_text(record)
 
 
 def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | None) -> Alignment:
@@ -205,21 +205,10 @@ def alignment_from_json(text: str, *, rig: StereoRig, working_width_px: int | No
         working_width_px: the one it was made with.
 
     Raises:
-        KeyError: a key is missing.
-        TypeError: a value is of another kind.
-        ValueError: likewise.
+        ValueError: a key is missing, or a value is of another kind.
         InputError: it is of photos that the rig does not fit.
     """
-    plain = cast(dict[str, Any], parse_json(text))
-    refinement = from_plain(ShotRefinement, plain["refinement"])
-    moved = tuple(from_plain(MovedRegion, region) for region in plain["moved"])
-    turns = (refinement.rotation_vector, refinement.rotation_std_rad, refinement.translation_direction)
-    if any(turn is not None and turn.shape != (3,) for turn in turns):
-        raise ValueError("a turn or a direction has three numbers")
-    if any(region.outline_px.ndim != 2 or region.outline_px.shape[1] != 2 for region in moved):
-        raise ValueError("an outline has rows of x and y")
-    asymmetry = from_plain(AsymmetryEstimate, plain["asymmetry"])
-    (tele_h, tele_w), (wide_h, wide_w) = plain["tele_hw"], plain["wide_hw"]
-    of_sizes = rig_at_sizes(rig, tele_hw=(int(tele_h), int(tele_w)), wide_hw=(int(wide_h), int(wide_w)))
-    geometry = rectified_geometry(refined_rig(of_sizes, refinement), working_width_px=working_width_px)
-    return Alignment(refinement, moved, asymmetry, geometry)
+    record = checked(parse_json(text), ShotRecord)
+    of_sizes = rig_at_sizes(rig, tele_hw=record.tele_hw, wide_hw=record.wide_hw)
+    geometry = rectified_geometry(refined_rig(of_sizes, record.refinement), working_width_px=working_width_px)
+    return Alignment(record.refinement, record.moved, record.asymmetry, geometry)

@@ -19,7 +19,7 @@ from telewide.stages.observer import Observer
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.train import SHEET_ROWS, TrainOutcome, forget, outcome_of, planned, state_for, workers_for
 from telewide.stages.training_log import LoggedReporter, drop_log_after
-from telewide.stages.training_record import TrainingRecord, read_record, refuse_another_recipe, write_record
+from telewide.stages.training_record import TrainingRecord, read_training, refuse_another_recipe, write_training
 from telewide.training.checkpoint import TrainingState
 from telewide.training.judge import world_judge
 from telewide.training.loop import Training
@@ -91,14 +91,14 @@ def _take_up(
     if fresh and processes.is_writer:
         forget(folder)
     processes.wait()
-    kept, state = read_record(folder), state_for(folder, recipe, device)
+    kept, state = read_training(folder), state_for(folder, recipe, device)
     if kept is not None:
         refuse_another_recipe(kept, resolved, anew="fresh=True")
         if state.step + state.stage_index and not state.is_finished:
             observer.said(f"resuming {planned(recipe)[state.stage_index].name} at step {state.step}")
     processes.wait()  # all have read what the writer now changes
     if processes.is_writer and not state.is_finished:
-        write_record(
+        write_training(
             folder, TrainingRecord(recipe=resolved, window=source.window_px, captures=(), held_out=(), judged=())
         )
         drop_log_after(folder.training_log, stage_index=state.stage_index, step=state.step)

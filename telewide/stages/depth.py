@@ -16,7 +16,7 @@ from telewide.capture.pair import Problem
 from telewide.cores import Device
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint, read_json
+from telewide.files import fingerprint
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.window import Window, joined_window
@@ -26,10 +26,11 @@ from telewide.stages.align import shot_precision
 from telewide.stages.call import Call, alone, record
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
 from telewide.stages.observer import Observer
+from telewide.stages.pair_record import RECORD_NAME
 from telewide.stages.pairs import PreparedPair, PreparedSet
-from telewide.stages.prepare import RECORD_NAME
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import locate_run
+from telewide.stages.training_record import read_training
 from telewide.text import command_line, counted
 
 
@@ -98,14 +99,15 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
 
 
 def _recipe_of_run(run: Path | None, captures_root: Path) -> Recipe:
-    path = locate_run(run, captures_root).training_record
-    if not path.is_file():
-        return load_recipe(DEFAULT_RECIPE)
-    content = read_json(path)
-    if not isinstance(content, dict) or "recipe" not in content:
+    folder = locate_run(run, captures_root)
+    try:
+        record = read_training(folder)
+    except InputError as error:
         anew = command_line("train", captures_root, out=run, fresh=True)
-        raise InputError(f"{path} is damaged", hint=f"train again: {anew}")
-    return parse_options(Recipe, content["recipe"], source=str(path), error=InputError)
+        raise InputError(error.message, hint=f"train again: {anew}") from error
+    if record is None:
+        return load_recipe(DEFAULT_RECIPE)
+    return parse_options(Recipe, record.recipe, source=str(folder.training_record), error=InputError)
 
 
 def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import shutil
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+
+from pydantic import Field, JsonValue
 
 from telewide.depth.export import NPZ_NAME
 from telewide.errors import TelewideError, UsageError
-from telewide.files import changing, read_json, temporary_name, write_text
+from telewide.files import changing, temporary_name
+from telewide.records import Figure, Name, Record, as_read, checked, read_json, read_record, write_record
 
 FORMAT = 4
 KEPT_NAME = "depth.json"
@@ -40,6 +40,30 @@ class KeptDepth:
     withheld: str | None = None
 
 
+class KeptRecord(Record):
+    """Content of ``depth.json``; what is missing in it was not written.
+
+    Attributes:
+        format: version of the file.
+        key: everything the files depend on.
+        source: the tele photo.
+        files_bytes: sizes of the files by their names; None while they are put in place.
+        files: the names alone, as older versions wrote them.
+        notes: what was left out, and why.
+        numbers: what was measured.
+        withheld: what is not among the files, and why.
+    """
+
+    format: int = 0
+    key: dict[str, JsonValue] = Field(default_factory=dict)
+    source: Name | None = None
+    files_bytes: dict[str, int | None] = Field(default_factory=dict)
+    files: tuple[str, ...] = Field(default=(), exclude=True)
+    notes: tuple[Name, ...] = ()
+    numbers: dict[str, Figure] = Field(default_factory=dict)
+    withheld: Name | None = None
+
+
 def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     """Read what lies in a folder, if it was made from the same and is still whole.
 
@@ -50,19 +74,14 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     Returns:
         What was made, or None where it has to be made (again).
     """
-    path = folder / KEPT_NAME
     try:
-        content = cast(dict[str, Any], read_json(path))
-        if content["format"] != FORMAT or content["key"] != json.loads(json.dumps(key)):
-            return None
-        numbers = {name: math.nan if value is None else float(value) for name, value in content["numbers"].items()}
-        sizes = {str(name): int(n_bytes) for name, n_bytes in content["files_bytes"].items()}
-        are_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in sizes.items())
-        withheld = None if content["withheld"] is None else str(content["withheld"])
-        kept = KeptDepth(tuple(sizes), tuple(map(str, content["notes"])), numbers, withheld)
-        return kept if are_whole else None
-    except (TelewideError, ValueError, KeyError, TypeError, AttributeError):  # damaged: it is made again
+        record = read_record(folder / KEPT_NAME, KeptRecord)
+    except TelewideError:  # not there, or damaged: it is made again
         return None
+    is_same = record.format == FORMAT and record.key == as_read(key)
+    if not is_same or not all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items()):
+        return None
+    return KeptDepth(tuple(record.files_bytes), record.notes, record.numbers, record.withheld)
 
 
 def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
@@ -95,11 +114,10 @@ def refuse_results_of_another(folder: Path, source: Path) -> None:
         UsageError: what lies there was made of another photo.
     """
     try:
-        content = read_json(folder / KEPT_NAME)
+        made_of = read_record(folder / KEPT_NAME, KeptRecord).source
     except TelewideError:
         return
-    made_of = content.get("source") if isinstance(content, dict) else None
-    if isinstance(made_of, str) and Path(made_of).is_file() and not Path(made_of).samefile(source):
+    if made_of is not None and Path(made_of).is_file() and not Path(made_of).samefile(source):
         raise UsageError(
             f"{folder} holds the depth of another photo, {made_of}", hint="name another folder with `out` or `run`"
         )
@@ -114,12 +132,16 @@ def listed_files(folder: Path) -> frozenset[str]:
     path = folder / KEPT_NAME
     if not path.is_file():
         return frozenset()
-    listed: object = FILE_NAMES
+    listed: Collection[str] = FILE_NAMES
     with suppress(TelewideError):
         content = read_json(path)
-        listed = (content.get("files_bytes") or content.get("files")) if isinstance(content, dict) else None
-    if not isinstance(listed, dict | list | tuple):
-        return frozenset()
+        try:
+            record = checked(content, KeptRecord)
+        except ValueError:  # somebody else's
+            return frozenset()
+        listed = record.files_bytes or record.files
+        if not listed:
+            return frozenset()
     return frozenset((*(name for name in FILE_NAMES if name in listed and not (folder / name).is_dir()), KEPT_NAME))
 
 
@@ -155,12 +177,12 @@ def _put_in_place(staged: Path, folder: Path) -> None:
     new = sorted(path.name for path in staged.iterdir() if path.name != KEPT_NAME)
     for name in listed.difference(new, {KEPT_NAME}):
         (folder / name).unlink(missing_ok=True)
-    write_text(folder / KEPT_NAME, json.dumps({"format": FORMAT, "files_bytes": dict.fromkeys(new)}) + "\n")
+    write_record(folder / KEPT_NAME, KeptRecord(format=FORMAT, files_bytes=dict.fromkeys(new)))
     for name in (*new, KEPT_NAME):
         (staged / name).replace(folder / name)
 
 
-def _is_file_of(folder: Path, name: str, n_bytes: int) -> bool:
+def _is_file_of(folder: Path, name: str, n_bytes: int | None) -> bool:
     path = folder / name
     return Path(name).name == name and path.is_file() and path.stat().st_size == n_bytes
 
@@ -174,15 +196,13 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], sour
         key: everything the files depend on, as plain data.
         source: the tele photo.
     """
-    numbers = {name: value if math.isfinite(value) else None for name, value in kept.numbers.items()}
-    sizes = {name: (folder / name).stat().st_size for name in kept.files}
-    content = {
-        "format": FORMAT,
-        "key": key,
-        "source": None if source is None else str(source.absolute()),
-        "files_bytes": sizes,
-        "notes": kept.notes,
-        "numbers": numbers,
-        "withheld": kept.withheld,
-    }
-    write_text(folder / KEPT_NAME, json.dumps(content, indent=2) + "\n")
+    record = KeptRecord(
+        format=FORMAT,
+        key=as_read(key),
+        source=None if source is None else str(source.absolute()),
+        files_bytes={name: (folder / name).stat().st_size for name in kept.files},
+        notes=kept.notes,
+        numbers=kept.numbers,
+        withheld=kept.withheld,
+    )
+    write_record(folder / KEPT_NAME, record)

@@ -12,12 +12,10 @@ rectified. A pair whose files and options have not changed is taken as it lies t
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +27,7 @@ from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.mixed_sizes import check_sizes
 from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
-from telewide.correction.blur import BlurEstimate, fit_blur
+from telewide.correction.blur import fit_blur
 from telewide.correction.verdict import (
     MIN_COMMON_MATCHES,
     MIN_EVIDENCE_MATCHES,
@@ -39,15 +37,15 @@ from telewide.correction.verdict import (
     inspect_pair,
 )
 from telewide.errors import InputError, QualityError, TelewideError, UsageError, within_memory
-from telewide.files import changing, fingerprint, read_json, read_regular, replacing, write_text
+from telewide.files import changing, fingerprint, read_regular, replacing, write_text
 from telewide.folders import refuse_links
 from telewide.matching.window import Window
 from telewide.npz import read_npz
-from telewide.plain import from_plain
 from telewide.points.held_out import HeldOut
 from telewide.points.matches import find_matches
 from telewide.ranges import MAX_DISPARITY_PX, MAX_SIDE_PX
 from telewide.recipe import Recipe
+from telewide.records import as_read, read_record, write_record
 from telewide.stages.align import (
     Alignment,
     align_photos,
@@ -57,14 +55,14 @@ from telewide.stages.align import (
     read_shot_facts,
 )
 from telewide.stages.call import Call, alone
+from telewide.stages.pair_record import RECORD_NAME, ColourFigures, PairRecord
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import RunFolder
-from telewide.text import command_line, json_text
+from telewide.text import command_line
 from telewide.training.samples import LABELS_NAME
 
 FORMAT = 7
-RECORD_NAME = "pair.json"
 SHOT_NAME = "shot.json"
 MATCHES_NAME = "matches.npz"
 _MOST_BYTES_OF_MATCHES = 1 << 26
@@ -224,22 +222,19 @@ def _prepare_pair(
         (folder / RECORD_NAME).unlink(missing_ok=True)
         _write_pair(folder, corrected)
     blur = fit_blur(corrected.pair.tele, corrected.pair.wide, corrected.matches_fit)
-    content = {
-        "key": key,
-        "scale": scale,
-        "wide_side": shot.wide_side,
-        "report": dataclasses.asdict(report),
-        "colour": {
-            "parts": corrected.colour.parts,
-            "delta_e_before": corrected.colour.delta_before,
-            "delta_e_after": corrected.colour.delta_after,
-        },
-        "blur": None if blur is None else dataclasses.asdict(blur),
-    }
     if alignment is not None:
         write_text(folder / SHOT_NAME, alignment_as_json(alignment))
-    content["files_sha256"] = {name: fingerprint(folder / name) for name in _files_of_pair(rig)}
-    write_text(folder / RECORD_NAME, json_text(content, indent=2))
+    colour = corrected.colour
+    record = PairRecord(
+        key=as_read(key),
+        scale=scale,
+        wide_side=shot.wide_side,
+        report=report,
+        colour=ColourFigures(parts=colour.parts, delta_e_before=colour.delta_before, delta_e_after=colour.delta_after),
+        blur=blur,
+        files_sha256={name: fingerprint(folder / name) for name in _files_of_pair(rig)},
+    )
+    write_record(folder / RECORD_NAME, record)
     kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is None:
         raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
@@ -316,7 +311,7 @@ def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
 def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
     """Photos that a rig once rectified are no less in need of it where it is not found any more."""
     try:
-        former = cast(dict[str, Any], read_json(folder / RECORD_NAME))["key"]
+        former = read_record(folder / RECORD_NAME, PairRecord).key
         are_the_same = all(former[name] == key[name] for name in ("tele_sha256", "wide_sha256"))
         had_rig = former["rig"] is not None
     except (TelewideError, KeyError, TypeError):
@@ -384,24 +379,20 @@ def _read_kept(
 ) -> PreparedPair | None:
     """The pair as an earlier call left it; None where it is not there, is not whole, or is of something else."""
     try:
-        content = cast(dict[str, Any], read_json(folder / RECORD_NAME))
-        if content["key"] != json.loads(json.dumps(key)):
+        record = read_record(folder / RECORD_NAME, PairRecord)
+        if record.key != as_read(key):
             return None
-        if any(fingerprint(folder / name) != content["files_sha256"][name] for name in _files_of_pair(rig)):
+        if any(fingerprint(folder / name) != record.files_sha256[name] for name in _files_of_pair(rig)):
             return None
-        report = from_plain(PairReport, content["report"])
+        report = record.report
         if max(abs(report.disparity_p02_px), abs(report.disparity_p98_px)) > MAX_DISPARITY_PX:
             raise ValueError("disparities of no pair")
         ref_px, src_px = _read_held_out(folder / MATCHES_NAME)
-        blur = None if content["blur"] is None else from_plain(BlurEstimate, content["blur"])
         alignment = None
         if rig is not None:
             text = read_regular(folder / SHOT_NAME).decode()
             alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
-        scale, wide_side = float(content["scale"]), content["wide_side"]
-        if wide_side not in get_args(WideSide):
-            raise ValueError(f"a side called {wide_side}")
-    except (TelewideError, ValueError, KeyError, TypeError, ArithmeticError):  # damaged: it is made again
+    except (TelewideError, ValueError, KeyError, ArithmeticError):  # damaged: it is made again
         return None
     corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
@@ -409,11 +400,11 @@ def _read_kept(
         source=capture,
         capture=corrected,
         report=report,
-        scale=scale,
+        scale=record.scale,
         held_out=held_out,
         alignment=alignment,
-        blur=blur,
-        wide_side=wide_side,
+        blur=record.blur,
+        wide_side=record.wide_side,
     )
 
 

@@ -11,7 +11,6 @@ Its layout::
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import sys
@@ -22,7 +21,9 @@ from importlib import metadata
 from pathlib import Path
 
 from telewide.errors import TelewideError, UsageError
-from telewide.files import fingerprint, read_json, write_text
+from telewide.files import fingerprint, write_text
+from telewide.records import read_json
+from telewide.text import json_text
 from telewide.training.options import WEIGHTS_NAME
 
 FORMAT = 1
@@ -148,7 +149,7 @@ def write_run_record(
     }
     others = commands if isinstance(commands, dict) else {}
     merged = {**record, "format": FORMAT, "commands": {**others, command: entry}}
-    write_text(run.run_json, json.dumps(merged, indent=2, ensure_ascii=False, default=str) + "\n")
+    write_text(run.run_json, json_text(merged, indent=2) + "\n")
 
 
 def _read_record(path: Path) -> dict[str, object]:
@@ -160,7 +161,7 @@ def _read_record(path: Path) -> dict[str, object]:
     except TelewideError as error:
         _log.warning("%s; it is written anew", error.message)
         return {}
-    return record if isinstance(record, dict) else {}
+    return {**record} if isinstance(record, dict) else {}
 
 
 def _relative(path: Path, root: Path) -> str:

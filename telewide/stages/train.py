@@ -35,7 +35,7 @@ from telewide.stages.labels import write_labels
 from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.training_log import LoggedReporter, drop_log_after
-from telewide.stages.training_record import TrainingRecord, agreed_record, read_record, write_record
+from telewide.stages.training_record import TrainingRecord, agreed_record, read_training, write_training
 from telewide.text import counted
 from telewide.training.checkpoint import (
     STATE_NAME,
@@ -147,7 +147,7 @@ def _take_up(
     """The training that lies in a run folder, and what is new to it; or a new one."""
     run, anew = call.folder, call.invocation.instead("train", fresh=True)
     with _damage_told(anew):
-        kept = read_record(run)
+        kept = read_training(run)
     record = agreed_record(kept, prepared, call.recipe, anew=anew)
     with _damage_told(anew):
         state = state_for(run, call.recipe, device)
@@ -175,7 +175,7 @@ def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: Traini
     """First that something is left to do, then that new captures are known: a stop in between loses neither."""
     if (run.train / STATE_NAME).is_file():
         save_state(state, run.train / STATE_NAME)
-    write_record(run, record)
+    write_training(run, record)
     drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
 
 

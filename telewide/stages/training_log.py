@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from telewide.files import changing, write_text
 from telewide.folders import append_line
 from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
+from telewide.records import record_text
 from telewide.stages.run_folder import RunFolder
-from telewide.training.log import read_log
+from telewide.training.log import LogLine, read_log
 from telewide.training.reporter import Reporter
 from telewide.training.stages import Stage
 
@@ -47,14 +46,13 @@ class LoggedReporter:
         if step % LOG_EVERY_STEPS == 0:
             # Fewer steps than usual after a resumption in between.
             rounded = {name: round(value / self._n_summed, 5) for name, value in self._sums.items()}
-            self._log(stage, step, {"losses": rounded, "seconds": round(seconds, 3)})
+            self._log(_line(stage, step, losses=rounded, seconds=round(seconds, 3)))
             self._forget_sums()
         self.inner.step_done(stage, step=step, losses=losses, seconds=seconds)
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
         """Log what the judge says."""
-        finite = {name: value if math.isfinite(value) else None for name, value in judgement.items()}
-        self._log(stage, step, {"judgement": finite})
+        self._log(_line(stage, step, judgement=dict(judgement)))
         self.inner.judged(stage, step=step, judgement=judgement)
 
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
@@ -72,17 +70,23 @@ class LoggedReporter:
         self._sums.clear()
         self._n_summed = 0
 
-    def _log(self, stage: Stage, step: int, content: Mapping[str, object]) -> None:
-        if not self.is_writer:
-            return
-        with changing(self.run.train):
-            self.run.train.mkdir(parents=True, exist_ok=True)
-        line = {"stage": stage.name, "stage_index": stage.index, "step": step, **content}
-        append_line(self.run.training_log, json.dumps(line))
+    def _log(self, line: LogLine) -> None:
+        if self.is_writer:
+            with changing(self.run.train):
+                self.run.train.mkdir(parents=True, exist_ok=True)
+            append_line(self.run.training_log, _text(line))
 
 
 def drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
     """Forget the lines of steps that a resumed training takes again."""
     if path.is_file():
-        kept = [line.text for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
+        kept = [_text(line) for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
         write_text(path, "".join(f"{line}\n" for line in kept))
+
+
+def _line(stage: Stage, step: int, **content: Any) -> LogLine:
+    return LogLine(stage=stage.name, stage_index=stage.index, step=step, **content)
+
+
+def _text(line: LogLine) -> str:
+    return record_text(line, indent=None, has_defaults=False).rstrip()

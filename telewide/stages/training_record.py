@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator, Field, JsonValue
 
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint, read_json, write_text
+from telewide.files import fingerprint
 from telewide.matching.window import Window, check_stated_window
 from telewide.recipe import Recipe, differing_keys
+from telewide.records import Name, Record, read_record, write_record
+from telewide.stages.pair_record import RECORD_NAME
 from telewide.stages.pairs import PreparedSet
-from telewide.stages.prepare import RECORD_NAME
 from telewide.stages.run_folder import RunFolder
 
 FORMAT = 1
@@ -23,11 +23,16 @@ FEWEST_TO_HOLD_OUT = 5
 MOST_HELD_OUT = 8
 
 
-@dataclass(frozen=True)
-class TrainingRecord:
+def _stated_window(window: Window) -> Window:
+    check_stated_window(window)
+    return window
+
+
+class TrainingRecord(Record):
     """Record of what a training was begun with; the file ``training.json``.
 
     Attributes:
+        format: version of the file.
         recipe: resolved recipe as plain data.
         window: disparities of the volume, px.
         captures: names of the captures it has seen or judged by.
@@ -36,12 +41,13 @@ class TrainingRecord:
         pairs_sha256: of what each corrected pair was made from, by name; empty where an older version wrote none.
     """
 
-    recipe: Mapping[str, object]
-    window: Window
-    captures: tuple[str, ...]
-    held_out: tuple[str, ...]
-    judged: tuple[str, ...]
-    pairs_sha256: Mapping[str, str] = field(default_factory=dict)
+    format: int = FORMAT
+    recipe: dict[str, JsonValue]
+    window: Annotated[Window, AfterValidator(_stated_window)]
+    captures: tuple[Name, ...]
+    held_out: tuple[Name, ...]
+    judged: tuple[Name, ...] = ()
+    pairs_sha256: dict[Name, str] = Field(default_factory=dict)
 
     def changed_in(self, other: TrainingRecord) -> tuple[str, ...]:
         """Captures of both whose photos, rig or correction are no longer the same."""
@@ -49,7 +55,7 @@ class TrainingRecord:
         return tuple(sorted(name for name in both if self.pairs_sha256[name] != other.pairs_sha256[name]))
 
 
-def read_record(run: RunFolder) -> TrainingRecord | None:
+def read_training(run: RunFolder) -> TrainingRecord | None:
     """The record of the training in a run folder, or None where there is none.
 
     Raises:
@@ -59,36 +65,16 @@ def read_record(run: RunFolder) -> TrainingRecord | None:
     if not path.exists():
         return None
     try:
-        content = cast(dict[str, Any], read_json(path))
-        first, end = content["window"]
-        check_stated_window((first, end))
-        captures, held_out = _names(content["captures"]), _names(content["held_out"])
-        judged = _names(content.get("judged", held_out or captures))
-        prints = {str(name): str(value) for name, value in content.get("pairs_sha256", {}).items()}
-        return TrainingRecord(
-            recipe={**content["recipe"]},
-            window=(first, end),
-            captures=captures,
-            held_out=held_out,
-            judged=judged,
-            pairs_sha256=prints,
-        )
-    except (InputError, ValueError, KeyError, TypeError, AttributeError) as error:
+        record = read_record(path, TrainingRecord)
+    except InputError as error:
         raise InputError(f"{path} is damaged") from error
+    # Older versions did not write who judges.
+    return record if record.judged else record.model_copy(update={"judged": record.held_out or record.captures})
 
 
-def write_record(run: RunFolder, record: TrainingRecord) -> None:
+def write_training(run: RunFolder, record: TrainingRecord) -> None:
     """Write ``training.json``."""
-    content = {
-        "format": FORMAT,
-        "recipe": record.recipe,
-        "window": list(record.window),
-        "captures": list(record.captures),
-        "held_out": list(record.held_out),
-        "judged": list(record.judged),
-        "pairs_sha256": dict(record.pairs_sha256),
-    }
-    write_text(run.training_record, json.dumps(content, indent=2) + "\n")
+    write_record(run.training_record, record)
 
 
 def agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe, *, anew: str) -> TrainingRecord:
@@ -161,9 +147,3 @@ def _choose_held_out(names: Sequence[str], recipe: Recipe) -> tuple[str, ...]:
     count = min(MOST_HELD_OUT, max(1, round(recipe.train.held_out_share * len(names))))
     chosen = np.random.default_rng(recipe.seed).choice(len(names), size=count, replace=False)
     return tuple(names[index] for index in sorted(chosen))
-
-
-def _names(plain: Sequence[object]) -> tuple[str, ...]:
-    if not all(isinstance(name, str) for name in plain):
-        raise TypeError("names are texts")
-    return tuple(map(str, plain))

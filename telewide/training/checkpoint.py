@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import io
-import json
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,9 +23,10 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
-from telewide.files import parse_json, refuse_strange_file, replacing
+from telewide.files import refuse_strange_file, replacing
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window, check_stated_window
+from telewide.records import checked, parse_json
 from telewide.text import json_text
 from telewide.training.spaces import build_space
 from telewide.training.stages import Stage
@@ -281,7 +281,7 @@ def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> No
     metadata = {
         "format": FORMAT,
         "network": card.network,
-        "window": json.dumps(list(card.window)),
+        "window": json_text(card.window),
         "recipe": json_text(card.recipe),
         "training": json_text(card.training),
     }
@@ -322,18 +322,12 @@ def read_card(path: Path) -> WeightsCard:
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
-        first, end = (_whole(number) for number in cast(list[object], parse_json(metadata["window"])))
-        check_stated_window((first, end))
-        recipe, training = (cast(dict[str, object], parse_json(metadata[name])) for name in ("recipe", "training"))
-        return WeightsCard(metadata["network"], (first, end), {**recipe}, {**training})
-    except (OSError, SafetensorError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        said = {name: parse_json(metadata[name]) for name in ("window", "recipe", "training")}
+        card = checked({**said, "network": metadata["network"]}, WeightsCard)
+        check_stated_window(card.window)
+        return card
+    except (OSError, SafetensorError, KeyError, ValueError, RuntimeError) as error:
         raise _no_weights(path) from error
-
-
-def _whole(value: object) -> int:
-    if type(value) is not int:
-        raise TypeError(f"{value!r} is no whole number")
-    return value
 
 
 def _no_weights(path: Path) -> InputError:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 
+from pydantic import Field
+
 from telewide.errors import TelewideError
-from telewide.files import parse_json, read_regular
+from telewide.files import read_regular
+from telewide.records import Figure, Record, checked, parse_json
 
 MAX_LOG_BYTES = 1 << 26
 _MOST_STRANGE_LINES = 1000
 
 
-@dataclass(frozen=True)
-class LogLine:
+class LogLine(Record):
     """One line.
 
     Attributes:
@@ -23,16 +24,16 @@ class LogLine:
         stage_index: its position in the plan.
         step: of the stage.
         losses: by name, their means since the line before; empty on a line of another kind.
-        judgement: by name; without those that the held-out matches could not answer.
-        text: the line as it was written.
+        judgement: by name; NaN where the held-out matches could not answer.
+        seconds: a step took; None on a line of another kind.
     """
 
     stage: str
-    stage_index: int
-    step: int
-    losses: Mapping[str, float]
-    judgement: Mapping[str, float]
-    text: str
+    stage_index: int = Field(default=0, ge=0)
+    step: int = Field(ge=0)
+    losses: dict[str, Figure] = Field(default_factory=dict)
+    judgement: dict[str, Figure] = Field(default_factory=dict)
+    seconds: Figure | None = None
 
 
 def read_log(path: Path) -> tuple[LogLine, ...]:
@@ -51,34 +52,9 @@ def read_log(path: Path) -> tuple[LogLine, ...]:
 def _parsed(lines: Iterable[bytes]) -> Iterable[LogLine]:
     n_strange = 0
     for encoded in lines:
-        line = encoded.decode("utf-8", errors="replace").rstrip("\n")
-        n_strange += 1
-        if n_strange > _MOST_STRANGE_LINES:
-            return
         try:
-            entry = parse_json(line)
-            if not isinstance(entry, dict):
-                continue
-            losses, judgement = entry.get("losses", {}), entry.get("judgement", {})
-            stage, index, step = entry["stage"], entry.get("stage_index", 0), entry["step"]
-            if isinstance(stage, str) and _is_count(index) and _is_count(step):
-                n_strange -= 1
-                yield LogLine(
-                    stage=stage,
-                    stage_index=index,
-                    step=step,
-                    losses=_numbers(losses),
-                    judgement=_numbers(judgement),
-                    text=line,
-                )
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue
-
-
-def _is_count(value: object) -> bool:
-    return type(value) is int and value >= 0
-
-
-def _numbers(plain: Mapping[str, float | None]) -> dict[str, float]:
-    """Return the numbers of a mapping; what is unknown is left out."""
-    return {name: float(value) for name, value in plain.items() if value is not None}
+            yield checked(parse_json(encoded.decode("utf-8", errors="replace")), LogLine)
+        except ValueError:
+            n_strange += 1
+            if n_strange > _MOST_STRANGE_LINES:
+                return

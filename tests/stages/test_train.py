@@ -34,7 +34,7 @@ from telewide.stages.depth import DepthOptions
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.train import TrainOutcome
-from telewide.stages.training_record import read_record
+from telewide.stages.training_record import read_training
 from telewide.training import loop
 from telewide.training.checkpoint import TrainingState
 from telewide.training.loop import DECISIVE, Training
@@ -175,7 +175,7 @@ def test_what_is_held_out_is_never_trained_on(
     monkeypatch.setattr(telewide.stages.train, "run_training", noted)
     short = ("train.rehearsal.steps=1", "train.photometric.steps=0", "train.stages=0")
     run_training(captures, tmp_path / "run", tiny(*short, path=recipe_path))
-    record = read_record(RunFolder(tmp_path / "run"))
+    record = read_training(RunFolder(tmp_path / "run"))
     assert record is not None
     assert len(record.held_out) == 1
     assert record.judged == record.held_out
@@ -251,7 +251,7 @@ def test_new_captures_are_taken_in(captures: Path, tmp_path: Path, recipe_path: 
     assert outcome.is_new
     assert any("later" in message for message in heard.messages)
     assert {stage for stage, _ in heard.losses} == {"feature-1"}, "the last stage is taken again, from its result"
-    record = read_record(RunFolder(run))
+    record = read_training(RunFolder(run))
     assert record is not None
     assert "later" in record.captures
     assert record.window == (0, 32)
@@ -288,7 +288,7 @@ def test_new_captures_do_not_change_the_judge(captures: Path, tmp_path: Path, re
     run_training(captures, run, recipe)
     add_capture(captures, tmp_path / "more")
     run_training(captures, run, recipe)
-    record = read_record(RunFolder(run))
+    record = read_training(RunFolder(run))
     assert record is not None
     assert record.judged == ("000", "001", "002")
     prepared = prepare_captures(find_captures(captures), RunFolder(run), recipe=recipe)
@@ -303,7 +303,7 @@ def test_a_training_without_its_judge_or_its_pictures_is_refused(
     for name in ("003", "004"):
         add_capture(captures, tmp_path / f"more_{name}", name=name)
     run_training(captures, run, recipe)
-    record = read_record(RunFolder(run))
+    record = read_training(RunFolder(run))
     assert record is not None
     held_out, seen = set(record.held_out), set(record.captures) - set(record.held_out)
     assert held_out

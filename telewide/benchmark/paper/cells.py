@@ -12,9 +12,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import NoReturn
 
 import numpy as np
+from pydantic import JsonValue
 
 from telewide.benchmark.bokeh_quality import bokeh_quality
 from telewide.benchmark.boundaries import boundary_errors, boundary_f1
@@ -27,10 +28,9 @@ from telewide.benchmark.report import library_versions
 from telewide.benchmark.scores import score_regions
 from telewide.benchmark.spaces import space_psnr_db
 from telewide.errors import TelewideError
-from telewide.files import read_json, write_text
 from telewide.folders import alone_in
 from telewide.geometry.arrays import FloatMap
-from telewide.text import json_text
+from telewide.records import Record, as_read, checked, read_record, write_record
 
 FORMAT = 1
 CELL_FILE = "cell.json"
@@ -40,6 +40,13 @@ _MEASURING = (
     *("benchmark.damages", "simulate.degrade", "bokeh.render", "bokeh.lens"),
 )
 Row = Mapping[str, object]
+
+
+class CellRecord(Record):
+    """Content of ``cell.json``: what the scores depend on, and a row of them for each scene and region."""
+
+    key: dict[str, JsonValue]
+    rows: tuple[dict[str, JsonValue], ...]
 
 
 class _TakenError(Exception):
@@ -135,9 +142,8 @@ class Cells:
         with alone_in(folder, waiting=self.tell if waits else _give_way):
             if (rows := _kept(folder / CELL_FILE, key)) is not None:  # made by whoever was waited for
                 return rows
-            text = json_text({"key": key, "rows": self._computed(plan)}, indent=2) + "\n"
-            write_text(folder / CELL_FILE, text)
-            return [dict(row) for row in json.loads(text)["rows"]]  # as whoever reads them later gets them
+            write_record(folder / CELL_FILE, checked(as_read({"key": key, "rows": self._computed(plan)}), CellRecord))
+            return [*read_record(folder / CELL_FILE, CellRecord).rows]  # as whoever reads them later gets them
 
     def _computed(self, plan: CellPlan) -> list[Row]:
         self.tell(f"{plan.system.title}: {plan.column.heading}")
@@ -251,12 +257,10 @@ def _first_there(names: Sequence[str], data_root: Path, split: str) -> tuple[str
 
 def _kept(path: Path, key: Mapping[str, object]) -> list[Row] | None:
     try:
-        content = cast(dict[str, Any], read_json(path))
-        if content["key"] != json.loads(json.dumps(key)):
-            return None
-        return [dict(row) for row in content["rows"]]
-    except (TelewideError, ValueError, KeyError, TypeError):
+        record = read_record(path, CellRecord)
+    except TelewideError:
         return None
+    return [*record.rows] if record.key == as_read(key) else None
 
 
 def _give_way(_message: str) -> NoReturn:
