@@ -14,34 +14,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from telewide.matching.batch_norm import BatchNorm2d, BatchNorm3d
 from telewide.matching.conv3d import Conv3d
+from telewide.matching.psmnet_blocks import HALVED_PLANES, Hourglass, conv2d, conv3d, stacked
 from telewide.matching.volume import concatenate_views
 from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
 
 FEATURE_CHANNELS = 16
 VOLUME_CHANNELS = 16
 POOL_CELLS = (16, 8)
-HALVED_PLANES = 4
-"""The hourglass halves the volume twice."""
-
-
-def _conv2d(c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    padding = dilation * (kernel // 2)
-    return nn.Sequential(
-        nn.Conv2d(c_in, c_out, kernel, stride=stride, padding=padding, dilation=dilation, bias=False),
-        BatchNorm2d(c_out),
-    )
-
-
-def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(Conv3d(c_in, c_out, stride=stride, bias=False), BatchNorm3d(c_out))
-
-
-def _deconv3d(c_in: int, c_out: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.ConvTranspose3d(c_in, c_out, 3, stride=2, padding=1, output_padding=1, bias=False), BatchNorm3d(c_out)
-    )
 
 
 class _Block(nn.Module):
@@ -49,20 +29,15 @@ class _Block(nn.Module):
 
     def __init__(self, c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> None:
         super().__init__()
-        self.conv1 = _conv2d(c_in, c_out, stride=stride, dilation=dilation)
-        self.conv2 = _conv2d(c_out, c_out, dilation=dilation)
+        self.conv1 = conv2d(c_in, c_out, stride=stride, dilation=dilation)
+        self.conv2 = conv2d(c_out, c_out, dilation=dilation)
         is_same = stride == 1 and c_in == c_out
-        self.shortcut = nn.Identity() if is_same else _conv2d(c_in, c_out, kernel=1, stride=stride)
+        self.shortcut = nn.Identity() if is_same else conv2d(c_in, c_out, kernel=1, stride=stride)
 
     def forward(self, x: Tensor) -> Tensor:
         shortcut: Tensor = self.shortcut(x)
         residual: Tensor = self.conv2(functional.relu(self.conv1(x)))
         return shortcut + residual
-
-
-def _blocks(c_in: int, c_out: int, count: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    first = _Block(c_in, c_out, stride=stride, dilation=dilation)
-    return nn.Sequential(first, *(_Block(c_out, c_out, dilation=dilation) for _ in range(count - 1)))
 
 
 class PsmnetPyramid(nn.Module):
@@ -71,15 +46,15 @@ class PsmnetPyramid(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.first = nn.Sequential(
-            _conv2d(3, 16, stride=2), nn.ReLU(), _conv2d(16, 16), nn.ReLU(), _conv2d(16, 16), nn.ReLU()
+            conv2d(3, 16, stride=2), nn.ReLU(), conv2d(16, 16), nn.ReLU(), conv2d(16, 16), nn.ReLU()
         )
-        self.layer1 = _blocks(16, 16, 2)
-        self.layer2 = _blocks(16, 32, 8, stride=2)
-        self.layer3 = _blocks(32, 64, 2)
-        self.layer4 = _blocks(64, 64, 2, dilation=2)
+        self.layer1 = stacked(_Block, 16, 16, count=2)
+        self.layer2 = stacked(_Block, 16, 32, count=8, stride=2)
+        self.layer3 = stacked(_Block, 32, 64, count=2)
+        self.layer4 = stacked(_Block, 64, 64, count=2, dilation=2)
         self.pools = nn.ModuleList(
             # The last cell of a side may be cut: it is a mean over what there is of it.
-            nn.Sequential(nn.AvgPool2d(cells, ceil_mode=True), _conv2d(64, 16, kernel=1), nn.ReLU())
+            nn.Sequential(nn.AvgPool2d(cells, ceil_mode=True), conv2d(64, 16, kernel=1), nn.ReLU())
             for cells in POOL_CELLS
         )
 
@@ -103,35 +78,11 @@ class PsmnetFeatures(PsmnetPyramid):
 
     def __init__(self) -> None:
         super().__init__()
-        self.last = nn.Sequential(_conv2d(128, 64), nn.ReLU(), nn.Conv2d(64, FEATURE_CHANNELS, 1, bias=False))
+        self.last = nn.Sequential(conv2d(128, 64), nn.ReLU(), nn.Conv2d(64, FEATURE_CHANNELS, 1, bias=False))
 
     def forward(self, image_BCHW: Tensor) -> tuple[Tensor]:
         """(B, 3, H, W) to ((B, 16, H/4, W/4),)."""
         return (self.last(self.pyramid(image_BCHW)[1]),)
-
-
-class _Hourglass(nn.Module):
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        wide = 2 * channels
-        self.conv1 = nn.Sequential(_conv3d(channels, wide, stride=2), nn.ReLU())
-        self.conv2 = _conv3d(wide, wide)
-        self.conv3 = nn.Sequential(_conv3d(wide, wide, stride=2), nn.ReLU())
-        self.conv4 = nn.Sequential(_conv3d(wide, wide), nn.ReLU())
-        self.conv5 = _deconv3d(wide, wide)
-        self.conv6 = _deconv3d(wide, channels)
-
-    def forward(self, x: Tensor) -> Tensor:
-        half = functional.relu(self.conv2(self.conv1(x)))
-        quarter = self.conv4(self.conv3(half))
-        half = functional.relu(_crop_like(self.conv5(quarter), half) + half)
-        return _crop_like(self.conv6(half), x)
-
-
-def _crop_like(x: Tensor, like: Tensor) -> Tensor:
-    """Drop what a doubled odd side has too much."""
-    depth, height, width = like.shape[2:]
-    return x[:, :, :depth, :height, :width]
 
 
 class PsmnetMatching(nn.Module):
@@ -140,10 +91,10 @@ class PsmnetMatching(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         c = VOLUME_CHANNELS
-        self.dres0 = nn.Sequential(_conv3d(2 * FEATURE_CHANNELS, c), nn.ReLU(), _conv3d(c, c), nn.ReLU())
-        self.dres1 = nn.Sequential(_conv3d(c, c), nn.ReLU(), _conv3d(c, c))
-        self.hourglass = _Hourglass(c)
-        self.classify = nn.Sequential(_conv3d(c, c), nn.ReLU(), Conv3d(c, 1, bias=False))
+        self.dres0 = nn.Sequential(conv3d(2 * FEATURE_CHANNELS, c), nn.ReLU(), conv3d(c, c), nn.ReLU())
+        self.dres1 = nn.Sequential(conv3d(c, c), nn.ReLU(), conv3d(c, c))
+        self.hourglass = Hourglass(c)
+        self.classify = nn.Sequential(conv3d(c, c), nn.ReLU(), Conv3d(c, 1, bias=False))
 
     def forward(self, ref: tuple[Tensor], src: tuple[Tensor], window: Window) -> tuple[list[Tensor], Tensor]:
         """[Disparity (B, H, W), px] and the volume (B, D, H/4, W/4)."""
@@ -151,7 +102,7 @@ class PsmnetMatching(nn.Module):
         volume = concatenate_views(ref[0], src[0], window=whole).contiguous(memory_format=torch.channels_last_3d)
         cost = self.dres0(volume)
         cost = cost + self.dres1(cost)
-        logits = self.classify(cost + self.hourglass(cost)).float()[:, :, planes_of(window, within=whole)]
+        logits = self.classify(cost + self.hourglass(cost)[0]).float()[:, :, planes_of(window, within=whole)]
         return [_expect_full_size(logits, window)], logits[:, 0]
 
 

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from telewide.matching.batch_norm import BatchNorm2d, BatchNorm3d
 from telewide.matching.conv3d import Conv3d
 from telewide.matching.foreign_weights import load_tensors, read_tensors
+from telewide.matching.psmnet_blocks import HALVED_PLANES, Hourglass, conv2d, conv3d, stacked
 from telewide.matching.sampling import at_least_float32
 from telewide.matching.volume import concatenate_views, shifted_views
 from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
@@ -24,8 +24,6 @@ from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_
 FEATURE_CHANNELS = 32
 VOLUME_CHANNELS = 32
 POOL_CELLS = (64, 32, 16, 8)
-HALVED_PLANES = 4
-"""Each hourglass halves the volume twice."""
 PUBLISHED_WINDOW: Window = (0, 192)
 """Disparities that the authors' checkpoints were trained for, px."""
 IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -33,41 +31,19 @@ FEATURES_PREFIX = "feature_extraction."
 """Of the authors' names of Phi_F; all other names are of Phi_M."""
 
 
-def _conv2d(c_in: int, c_out: int, *, kernel: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    padding = dilation * (kernel // 2)
-    return nn.Sequential(
-        nn.Conv2d(c_in, c_out, kernel, stride=stride, padding=padding, dilation=dilation, bias=False),
-        BatchNorm2d(c_out),
-    )
-
-
-def _conv3d(c_in: int, c_out: int, *, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(Conv3d(c_in, c_out, stride=stride, bias=False), BatchNorm3d(c_out))
-
-
-def _deconv3d(c_in: int, c_out: int) -> nn.Sequential:
-    layer = nn.ConvTranspose3d(c_in, c_out, 3, stride=2, padding=1, output_padding=1, bias=False)
-    return nn.Sequential(layer, BatchNorm3d(c_out))
-
-
 class _Block(nn.Module):
     """Residual block without a last ReLU."""
 
     def __init__(self, c_in: int, c_out: int, *, stride: int = 1, dilation: int = 1) -> None:
         super().__init__()
-        self.conv1 = nn.Sequential(_conv2d(c_in, c_out, stride=stride, dilation=dilation), nn.ReLU())
-        self.conv2 = _conv2d(c_out, c_out, dilation=dilation)
+        self.conv1 = nn.Sequential(conv2d(c_in, c_out, stride=stride, dilation=dilation), nn.ReLU())
+        self.conv2 = conv2d(c_out, c_out, dilation=dilation)
         is_same = stride == 1 and c_in == c_out
-        self.downsample = None if is_same else _conv2d(c_in, c_out, kernel=1, stride=stride)
+        self.downsample = None if is_same else conv2d(c_in, c_out, kernel=1, stride=stride)
 
     def forward(self, x: Tensor) -> Tensor:
         residual: Tensor = self.conv2(self.conv1(x))
         return residual + (x if self.downsample is None else self.downsample(x))
-
-
-def _blocks(c_in: int, c_out: int, count: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    first = _Block(c_in, c_out, stride=stride, dilation=dilation)
-    return nn.Sequential(first, *(_Block(c_out, c_out, dilation=dilation) for _ in range(count - 1)))
 
 
 class _Pool(nn.Module):
@@ -93,16 +69,16 @@ class PsmnetFullFeatures(nn.Module):
         super().__init__()
         self.is_published = is_published
         self.firstconv = nn.Sequential(
-            _conv2d(3, 32, stride=2), nn.ReLU(), _conv2d(32, 32), nn.ReLU(), _conv2d(32, 32), nn.ReLU()
+            conv2d(3, 32, stride=2), nn.ReLU(), conv2d(32, 32), nn.ReLU(), conv2d(32, 32), nn.ReLU()
         )
-        self.layer1 = _blocks(32, 32, 3)
-        self.layer2 = _blocks(32, 64, 16, stride=2)
-        self.layer3 = _blocks(64, 128, 3)
-        self.layer4 = _blocks(128, 128, 3, dilation=2)
+        self.layer1 = stacked(_Block, 32, 32, count=3)
+        self.layer2 = stacked(_Block, 32, 64, count=16, stride=2)
+        self.layer3 = stacked(_Block, 64, 128, count=3)
+        self.layer4 = stacked(_Block, 128, 128, count=3, dilation=2)
         for number, cells in enumerate(POOL_CELLS, start=1):
-            branch = nn.Sequential(_Pool(cells), _conv2d(128, 32, kernel=1), nn.ReLU())
+            branch = nn.Sequential(_Pool(cells), conv2d(128, 32, kernel=1), nn.ReLU())
             self.add_module(f"branch{number}", branch)
-        self.lastconv = nn.Sequential(_conv2d(320, 128), nn.ReLU(), nn.Conv2d(128, FEATURE_CHANNELS, 1, bias=False))
+        self.lastconv = nn.Sequential(conv2d(320, 128), nn.ReLU(), nn.Conv2d(128, FEATURE_CHANNELS, 1, bias=False))
 
     def forward(self, image_BCHW: Tensor) -> tuple[Tensor]:
         """(B, 3, H, W) to ((B, 32, H/4, W/4),)."""
@@ -127,35 +103,8 @@ class PublishedPsmnetFeatures(PsmnetFullFeatures):
         return (image_BCHW - mean) / deviation
 
 
-class _Hourglass(nn.Module):
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        wide = 2 * channels
-        self.conv1 = nn.Sequential(_conv3d(channels, wide, stride=2), nn.ReLU())
-        self.conv2 = _conv3d(wide, wide)
-        self.conv3 = nn.Sequential(_conv3d(wide, wide, stride=2), nn.ReLU())
-        self.conv4 = nn.Sequential(_conv3d(wide, wide), nn.ReLU())
-        self.conv5 = _deconv3d(wide, wide)
-        self.conv6 = _deconv3d(wide, channels)
-
-    def forward(self, x: Tensor, down: Tensor | None, up: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-        """The volume, and its halves on the way down and up; those of earlier hourglasses are added to them."""
-        half = self.conv2(self.conv1(x))
-        half = functional.relu(half if up is None else half + up)
-        quarter = self.conv4(self.conv3(half))
-        added = half if down is None else down
-        risen = functional.relu(_crop_like(self.conv5(quarter), added) + added)
-        return _crop_like(self.conv6(risen), x), half, risen
-
-
-def _crop_like(x: Tensor, like: Tensor) -> Tensor:
-    """Drop what a doubled odd side has too much."""
-    depth, height, width = like.shape[2:]
-    return x[:, :, :depth, :height, :width]
-
-
 def _classifier(channels: int) -> nn.Sequential:
-    return nn.Sequential(_conv3d(channels, channels), nn.ReLU(), Conv3d(channels, 1, bias=False))
+    return nn.Sequential(conv3d(channels, channels), nn.ReLU(), Conv3d(channels, 1, bias=False))
 
 
 class PsmnetFullMatching(nn.Module):
@@ -169,9 +118,9 @@ class PsmnetFullMatching(nn.Module):
         super().__init__()
         self.is_published = is_published
         c = VOLUME_CHANNELS
-        self.dres0 = nn.Sequential(_conv3d(2 * FEATURE_CHANNELS, c), nn.ReLU(), _conv3d(c, c), nn.ReLU())
-        self.dres1 = nn.Sequential(_conv3d(c, c), nn.ReLU(), _conv3d(c, c))
-        self.dres2, self.dres3, self.dres4 = (_Hourglass(c) for _ in range(3))
+        self.dres0 = nn.Sequential(conv3d(2 * FEATURE_CHANNELS, c), nn.ReLU(), conv3d(c, c), nn.ReLU())
+        self.dres1 = nn.Sequential(conv3d(c, c), nn.ReLU(), conv3d(c, c))
+        self.dres2, self.dres3, self.dres4 = (Hourglass(c) for _ in range(3))
         self.classif1, self.classif2, self.classif3 = (_classifier(c) for _ in range(3))
 
     def forward(self, ref: tuple[Tensor], src: tuple[Tensor], window: Window) -> tuple[list[Tensor], Tensor]:
@@ -180,9 +129,9 @@ class PsmnetFullMatching(nn.Module):
         volume = _visible_volume(ref[0], src[0], whole).contiguous(memory_format=torch.channels_last_3d)
         start = self.dres0(volume)
         start = start + self.dres1(start)
-        first, down, up = self.dres2(start, None, None)
-        second, _, second_up = self.dres3(first + start, down, up)
-        third, _, _ = self.dres4(second + start, down, second_up)
+        first, down, up = self.dres2(start)
+        second, _, second_up = self.dres3(first + start, down=down, up=up)
+        third, _, _ = self.dres4(second + start, down=down, up=second_up)
         costs = [self.classif1(first + start)]
         costs.append(self.classif2(second + start) + costs[-1])
         costs.append(self.classif3(third + start) + costs[-1])
