@@ -60,7 +60,7 @@ def typed(context: typer.Context) -> Invocation:
 def console_observer(
     *, is_quiet: bool = False, shows_table: bool = True, invocation: Invocation | None = None
 ) -> Iterator[ConsoleObserver]:
-    """Tell on standard error what a pipeline does; of several processes one tells.
+    """Report on standard error what a pipeline does; one of several processes reports.
 
     Args:
         is_quiet: say nothing but problems.

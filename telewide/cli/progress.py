@@ -198,7 +198,7 @@ class ConsoleObserver:
 
 
 def captures_table(reports: Sequence[PairReport]) -> Table:
-    """The table that is shown before anything is trained: one line a capture."""
+    """The table of the captures that is shown before training."""
     table = Table(box=None, pad_edge=False)
     table.add_column("capture")
     for heading in ("matches", "vertical px", "asymmetry", "tele/wide R G B", "disparity px"):

@@ -91,7 +91,7 @@ def _world(world: str | None, *, is_phone: bool) -> str:
 
 
 def _refuse_foreign(chosen: str, own: Mapping[str, Mapping[str, object]], *, boards: int | None) -> None:
-    """An option of another world would be ignored without a word."""
+    """Refuse options of another world, which would be ignored silently."""
     for world, options in own.items():
         given = [name for name, value in options.items() if value is not None]
         if world != chosen and given:

@@ -1,6 +1,6 @@
-"""Ended from outside: SIGTERM, which schedulers, `timeout` and `kill` send, acts like Ctrl-C, so that it cleans up too.
+"""SIGTERM, which schedulers, `timeout` and `kill` send, acts like Ctrl-C, so that the command cleans up too.
 
-Whatever handles Ctrl-C at that moment is asked, such as a training that finishes its step first.
+Whatever handles Ctrl-C at that moment handles it, such as a training that finishes its step first.
 """
 
 from __future__ import annotations

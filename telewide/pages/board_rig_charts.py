@@ -178,8 +178,8 @@ def _view_figure(_: Calibration, lens: Lens, views: Sequence[ViewResult]) -> Mar
 def _calibration_std_px(quality: CalibrationQuality) -> float:
     """Deviation of the calibration itself along a row, tele px; 0 where nothing says so.
 
-    The rig from all photos is half as uncertain as the difference of two from half of them each, of which one of two
-    directions is along the row.
+    Two rigs from half of the photos each differ by twice the error of the rig from all of them, and one of the two
+    directions of that difference lies along the row.
     """
     estimates = (quality.epipolar_p50_px / _MEDIAN_OF_ABS_NORMAL, quality.cross_validation_px / (2 * math.sqrt(2)))
     return max((estimate for estimate in estimates if math.isfinite(estimate)), default=0.0)

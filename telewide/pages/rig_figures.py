@@ -55,7 +55,7 @@ def transfer_difference_px(first: StereoRig, second: StereoRig, *, distance_m: f
 
 
 def tele_outline_px(rig: StereoRig) -> FloatArray:
-    """Where the wide photo shows what tele sees, things far away.
+    """Outline, in the wide photo, of what tele sees of far things.
 
     Args:
         rig: the two cameras.

@@ -138,7 +138,7 @@ def _between(stored: StoredRig) -> list[tuple[str, str]]:
 
 
 def _turn_std_deg(rig: StereoRig, std: TransformStd) -> float:
-    """Of the angle of the turn: what the small turns are uncertain by about its own axis."""
+    """Standard deviation of the turn's angle: that of small turns about its own axis."""
     turn = cv2.Rodrigues(rig.wide_from_tele[:3, :3])[0].ravel()
     angle_rad = float(np.linalg.norm(turn))
     if angle_rad == 0:  # no axis: as much as about any of the three

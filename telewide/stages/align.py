@@ -2,7 +2,7 @@
 
     photos ── match ── fit what moved ── rig of this shot ── rectify ── pair
 
-What was fitted is kept as plain numbers, so that results find back to the photo.
+What was fitted is recorded, so that results can be mapped back onto the photo.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Alignment:
     Attributes:
         refinement: what moved in this shot.
         moved: parts of the tele photo that moved between the two exposures.
-        asymmetry: the asymmetric factor from all that knows it.
+        asymmetry: the asymmetric factor, by every source of it.
         geometry: of the rectified views; its rig is this shot's, for photos of its sizes.
     """
 
@@ -114,7 +114,7 @@ def align_photos(
 
 
 def shot_precision(alignment: Alignment, *, of_set: Sequence[Alignment], rig: StoredRig) -> DepthPrecision:
-    """Sum up what all depths of a shot are uncertain by: the rig's own deviations, and the lens's unseen shift.
+    """Sum up the uncertainty that all depths of a shot share: the rig's own, and the lens's unseen shift.
 
     A rig from scenes does not know where infinitely far things lie; that moves all disparities as the lens's shift
     does, and a known distance takes out both.
@@ -171,7 +171,7 @@ def read_shot_facts(capture: Capture) -> ShotFacts:
 
 
 def plain_rig(rig: StereoRig) -> dict[str, object]:
-    """A rig as plain data, to tell it from another."""
+    """Return a rig as plain data, to tell it from another."""
     cameras = {"tele": rig.tele, "wide": rig.wide}
     return {
         "wide_from_tele": rig.wide_from_tele.tolist(),

@@ -1,6 +1,6 @@
 """Weights without captures: a training on ray-cast worlds alone, whose result comes with the program.
 
-It lies in a run folder as every training does, stops and goes on likewise; the judge asks worlds of another seed.
+It is kept in a run folder, stopped and continued like every training; worlds of another seed judge it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: Device, observe
         observer: is told of the progress.
 
     Returns:
-        What was reached.
+        The outcome.
 
     Raises:
         UsageError: no stage with steps, or the training there was begun with another recipe.

@@ -2,8 +2,8 @@
 
     boards/ ── find ── which board ── corners of every photo ── solve ── rig.yaml + rig_report.html
 
-Whoever calls hears of the progress through a :class:`Observer`. A rig that is not good enough is written
-too, marked so; it is for the caller to refuse it.
+Progress is reported to an :class:`Observer`. A rig that is not good enough is written too, and marked; refusing it is
+up to the caller.
 """
 
 from __future__ import annotations

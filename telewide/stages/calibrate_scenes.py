@@ -3,8 +3,8 @@
     captures/ ── EXIF focal lengths ── match every capture ── solve jointly ── solve halves, to judge it
               ── rig.yaml + rig_report.html
 
-What such a rig cannot know (the length of the baseline, the zero of disparity) is part of its checks. A rig that is not
-good enough is written too, marked so; it is for the caller to refuse it.
+What such a rig cannot know (the length of the baseline, the zero of disparity) is part of its checks. A rig that is
+not good enough is written too, and marked; refusing it is up to the caller.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class _Matched:
         scenes: their matches.
         sizes: of tele's and of wide's photos.
         orientations: their EXIF orientations.
-        notes: on captures that have no say.
+        notes: on captures that are not used.
     """
 
     captures: tuple[Capture, ...]
@@ -124,7 +124,7 @@ class _Matched:
 
     @property
     def telling(self) -> tuple[int, ...]:
-        """Numbers of the captures with matches enough."""
+        """Indices of the captures that have enough matches."""
         return tuple(n for n, matches in enumerate(self.scenes) if len(matches) >= MIN_SCENE_MATCHES)
 
 
@@ -141,7 +141,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observe
 
     Raises:
         UsageError: no such folder, or wide cannot stand where it is stated to.
-        InputError: the photos do not say their focal length, were not made in one way, or too few of them match.
+        InputError: the photos do not state their focal length, differ in kind, or too few of them match.
     """
     found = with_checked_lenses(find_captures(captures))
     problems = tuple(_spoken(problem) for problem in found.problems)
@@ -222,7 +222,7 @@ def _kind(capture: Capture) -> _Kind | None:
 
 
 def _stated(capture: Capture) -> tuple[PhotoFacts, PhotoFacts]:
-    """Facts that the photos of a capture state; nothing where one cannot be read, which matching it says."""
+    """Return what the photos of a capture state; nothing where one cannot be read, which matching reports."""
     try:
         return read_photo_facts(capture.tele_path), read_photo_facts(capture.wide_path)
     except (InputError, UsageError):
@@ -235,7 +235,7 @@ def _focal_prior(focal_mm: tuple[float, float], sizes: tuple[Hw, Hw]) -> FocalPr
 
 
 def _solved(matched: _Matched, *, focal: FocalPrior, options: SceneOptions) -> SceneEvidence:
-    """The rig from all captures, and from halves of them where there are enough, with what those say of the others."""
+    """Solve the rig from all captures and, where there are enough, from each half, judged by the other half."""
 
     def rig_of(some: Sequence[Matches], wide_side: Side | None) -> SceneRig:
         return rig_from_scenes(

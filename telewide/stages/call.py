@@ -125,9 +125,9 @@ def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:
 
 @contextmanager
 def alone(call: Call, place: Path) -> Iterator[None]:
-    """Write into a place of the run folder while no other call does; wait for one that does.
+    """Hold a place of the run folder alone; wait for another call that holds it.
 
-    A place and not the whole folder: depth takes the newest weights while training goes on.
+    One place, not the whole folder, so that depth can take the newest weights while training goes on.
 
     Args:
         call: whose processes write there.
@@ -143,7 +143,7 @@ def alone(call: Call, place: Path) -> Iterator[None]:
 def record(
     call: Call, prepared: PreparedSet, *, command: str, options: Mapping[str, object], timings: Mapping[str, float]
 ) -> None:
-    """Note in ``run.json`` what was done; of several processes one does.
+    """Note in ``run.json`` what was done; one of several processes writes it.
 
     Args:
         call: whose captures were worked on.

@@ -1,4 +1,4 @@
-"""One capture's depth: matched, brought to the photo's own size and edges, written, and measured; or taken as it lies.
+"""One capture's depth: matched, brought to the photo's own size and edges, written, and measured; or kept.
 
 Letters: H W image.
 """
@@ -83,7 +83,7 @@ class DepthOutcome:
         paths: files written.
         notes: what was left out, and why; what the bokeh is focused on.
         numbers: seconds, focus, shares of held-out matches missed, errors against a truth where the set has one.
-        is_kept: whether all of it lay there, made from the same.
+        is_kept: whether all files were there already, made from the same inputs.
         withheld: what is not among the files because it would mean nothing, and why; None where all is there.
     """
 
@@ -109,11 +109,11 @@ class DepthFailure:
 
     @property
     def problem(self) -> Problem:
-        """The capture, as one that was left out."""
+        """Return it as a capture that was left out."""
         return Problem(self.name, self.error.message)
 
     def of_all(self, captures_root: Path) -> InputError | UsageError:
-        """The error of a whole set of which nothing is left."""
+        """Return the error to raise where no capture of a set is left."""
         message = f"{captures_root}: no depth could be computed; {self.name}: {self.error.message}"
         return type(self.error)(message, hint=self.error.hint)
 
@@ -243,7 +243,7 @@ def _blurred(
 
 
 def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
-    """Write all files of one capture into a folder; a bokeh of earlier stays where the depth beside it is the same."""
+    """Write all files of one capture into a folder; an earlier bokeh is kept where its depth is the same."""
     written = write_depth(folder, computed.result, image=computed.photo)
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
     notes = (*notes, *computed.bokeh_notes)

@@ -26,7 +26,7 @@ class Observer(Reporter, Protocol):
         """The command that its person typed, which advised commands take up; None where a program calls."""
 
     def warned(self, message: str) -> None:
-        """Something is less than what was asked for; a person is told even where little is said."""
+        """Something is less than what was asked for; a person is told even in quiet mode."""
 
     def detecting(self, total: int) -> Callable[[], None]:
         """Boards or matches are about to be looked for in ``total`` shots; the answer is called after each."""

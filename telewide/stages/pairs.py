@@ -98,7 +98,7 @@ class PreparedSet:
 
     @property
     def damage_factor(self) -> tuple[float, float] | None:
-        """By how much wide is coarser, least and most over the pairs.
+        """Factor by which wide is coarser, least and most over the pairs.
 
         Measured by their blur; where matches are too few for that, by rig, matches or EXIF; None where nothing tells.
         """

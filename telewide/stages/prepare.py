@@ -6,7 +6,7 @@
     run/pairs/<name>/matches.npz       matches, in corrected coordinates: fitted to, and held out
 
 With a rig the photos are rectified first, corrected for what moved in this shot; without one they are taken for
-rectified. A pair whose files and options have not changed is taken as it lies there.
+rectified. A pair whose files and options have not changed is not made again.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ Tick = Callable[[PairReport | None], None]
 
 
 def prepare(call: Call) -> PreparedSet:
-    """Correct the pairs of a call; of several processes each does its share, and then finds those of the others done.
+    """Correct the pairs of a call; each of several processes does its share and then reads the others'.
 
     Args:
         call: captures, rig, recipe and where the pairs go.
@@ -309,7 +309,7 @@ def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
 
 
 def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
-    """Photos that a rig once rectified are no less in need of it where it is not found any more."""
+    """Refuse photos that were rectified with a rig before, where no rig is found any more."""
     try:
         former = read_record(folder / RECORD_NAME, PairRecord).key
         are_the_same = all(former[name] == key[name] for name in ("tele_sha256", "wide_sha256"))
@@ -326,7 +326,7 @@ def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
 def _rectified(
     capture: Capture, facts: CaptureFacts, *, recipe: Recipe, rig: StoredRig | None
 ) -> tuple[tuple[RectifiedPair, float], Alignment | None]:
-    """The pair at its working size, with the scale of that; its geometry to them, where a rig was needed."""
+    """Return the pair at its working size with its scale and, where a rig was needed, its geometry to the photos."""
     if rig is None:
         return at_working_size(read_pair(capture, facts=facts), recipe.working_width_px), None
     if rig.facts.image_pipeline is not None:

@@ -11,7 +11,7 @@ from telewide.stages.depth import DepthRun
 
 
 def report(call: Call, done: DepthRun) -> DepthRun:
-    """Write the page about all captures of a call; of several processes one does.
+    """Write the page about all captures of a call; one of several processes writes it.
 
     Args:
         call: whose run folder the page lies in.

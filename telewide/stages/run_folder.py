@@ -104,7 +104,7 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
 def locate_run_of_depth(
     run: Path | None, captures_root: Path, *, out: Path | None, needs_training: bool
 ) -> Path | None:
-    """Tell the run folder of a depth; a call with a place of its own for the results makes none where none is there.
+    """Find the run folder of a depth call; one with a folder of its own for the results needs none.
 
     Args:
         run: the folder the user named, or None.
@@ -113,7 +113,7 @@ def locate_run_of_depth(
         needs_training: whether weights of the run folder are wanted.
 
     Returns:
-        The folder to name; a hidden one among the results where no run folder is called for.
+        The folder; a hidden one among the results where no run folder is needed.
     """
     if run is not None or out is None or needs_training or locate_run(None, captures_root).root.exists():
         return run
@@ -153,7 +153,7 @@ def write_run_record(
 
 
 def _read_record(path: Path) -> dict[str, object]:
-    """Return the record so far; a broken one is started anew, since a finished run must not fail on its diary."""
+    """Return the record so far; a damaged one is started anew: a finished run must not fail because of it."""
     if not path.exists():
         return {}
     try:

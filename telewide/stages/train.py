@@ -82,12 +82,12 @@ def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
     """Train a network on prepared pairs, or continue, and record it in the run folder.
 
     Args:
-        call: where checkpoints and logs lie, who is told.
+        call: run folder, recipe and observer.
         prepared: corrected pairs.
         fresh: forget a training that lies there.
 
     Returns:
-        What was reached.
+        The outcome.
 
     Raises:
         UsageError: the training that lies there was begun with another recipe.
@@ -164,7 +164,7 @@ def _take_up(
 
 @contextmanager
 def _damage_told(anew: str) -> Iterator[None]:
-    """Say of a file of a training that cannot be read by which command to start over."""
+    """Add the command that starts over to the error of a file that cannot be read."""
     try:
         yield
     except InputError as error:
@@ -172,7 +172,7 @@ def _damage_told(anew: str) -> Iterator[None]:
 
 
 def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: TrainingState) -> None:
-    """First that something is left to do, then that new captures are known: a stop in between loses neither."""
+    """Record first that something is left to do, then that new captures are known: a stop in between loses neither."""
     if (run.train / STATE_NAME).is_file():
         save_state(state, run.train / STATE_NAME)
     write_training(run, record)
@@ -203,7 +203,7 @@ def state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingS
 
 
 def _reopen(state: TrainingState) -> None:
-    """A finished training takes its last stage again on the larger set, from its result, and ends no worse."""
+    """Repeat the last stage of a finished training on the larger set, from its result, so that it ends no worse."""
     if state.is_finished:
         state.is_finished, state.step, state.judgements = False, 0, []
         result = {name: value.clone() for name, value in state.average.state_dict().items()}
@@ -275,7 +275,7 @@ def judged_captures(prepared: PreparedSet, record: TrainingRecord, recipe: Recip
 
 
 def workers_for(device: torch.device) -> int:
-    """One process prepares batches beside two computing cores; a GPU is fed by more, out of its share of the cores."""
+    """Return how many processes prepare batches: one for a processor, more for a GPU, within its share of the cores."""
     if device.type == "cpu":
         return 1
     return min(8, max(1, usable_cores() // int(os.environ.get("LOCAL_WORLD_SIZE", "1")) - 1))
@@ -290,7 +290,7 @@ def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, i
 def forget(run: RunFolder) -> None:
     """Remove the files a training wrote, by their names, and nothing else that may lie there.
 
-    The record goes last: stopped in between, what is left still has the record it was made by.
+    The record goes last, so that what is left after a stop still has its record.
     """
     if run.train.is_dir():
         for path in sorted(run.train.iterdir(), key=lambda path: path.name == run.training_record.name):

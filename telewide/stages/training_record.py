@@ -78,7 +78,7 @@ def write_training(run: RunFolder, record: TrainingRecord) -> None:
 
 
 def agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Recipe, *, anew: str) -> TrainingRecord:
-    """The record to go on with: the kept one with what is new, or refuse where the recipe has changed.
+    """Return the record to go on with, the kept one with what is new; refuse a changed recipe.
 
     Args:
         kept: of the training that lies there.
