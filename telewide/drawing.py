@@ -1,4 +1,4 @@
-"""Pages for people: pictures, words and colour bars on a dark neutral ground.
+"""Drawing on pictures: words, lines and colour bars on a dark neutral ground.
 
 Arrays are (H, W, 3) float32 RGB in [0, 1]; a page is a Pillow image. Sizes are ``wh``, corners ``at_xy``, both in px of
 the page.

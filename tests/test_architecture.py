@@ -202,6 +202,11 @@ def test_only_stages_and_above_know_the_run_folder() -> None:
     assert [name for name in knows if (layer(name) or 0) < 7] == []
 
 
+def test_pages_know_no_stage() -> None:
+    reached = [(m.name, name) for m in modules() if m.name.startswith("pages.") for name, _ in own_imports(m)]
+    assert [(page, name) for page, name in reached if name.startswith("stages.")] == []
+
+
 def test_array_types_are_named_in_one_place() -> None:
     def findings(module: Module) -> list[str]:
         named = (node for node in module.tree.body if isinstance(node, ast.Assign))

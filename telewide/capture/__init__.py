@@ -1,1 +1,1 @@
-"""Input: photos, capture folders, data sets, the run folder."""
+"""Input: photos, what they state about themselves, and folders of captures."""

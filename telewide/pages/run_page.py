@@ -18,7 +18,6 @@ from telewide.errors import TelewideError
 from telewide.pages.curves import Curve
 from telewide.pages.report import NextStep, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
-from telewide.stages.run_folder import RunFolder
 from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
 from telewide.training.stages import plan_stages
@@ -50,14 +49,15 @@ def report_row(
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
 
 
-def write_page(
-    run: RunFolder, rows: Iterable[ReportRow], *, recipe: Recipe, captures: Path, invocation: Invocation
+def write_run_page(
+    root: Path, rows: Iterable[ReportRow], *, log: Path, recipe: Recipe, captures: Path, invocation: Invocation
 ) -> Path:
     """Write ``report.html`` of a run.
 
     Args:
-        run: its folder.
+        root: the run folder.
         rows: the captures.
+        log: of the training; need not be there.
         recipe: it was trained with.
         captures: folder of the captures.
         invocation: the command that was typed, which the commands it names take up.
@@ -66,29 +66,29 @@ def write_page(
         Path of the page.
     """
     return write_report(
-        run.root / "report.html",
+        root / "report.html",
         tuple(rows),
         title="Depth and bokeh from a wide and a tele lens",
         summary=recipe.description,
-        curves=training_curves(run.training_log),
-        next_steps=next_steps(run, recipe=recipe, invocation=invocation),
+        curves=training_curves(log),
+        next_steps=next_steps(root, recipe=recipe, invocation=invocation),
         facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
     )
 
 
-def next_steps(run: RunFolder, *, recipe: Recipe, invocation: Invocation) -> tuple[NextStep, ...]:
+def next_steps(root: Path, *, recipe: Recipe, invocation: Invocation) -> tuple[NextStep, ...]:
     """Steps to take after a run, each with a command that can be pasted into a shell.
 
     Args:
-        run: its folder.
+        root: the run folder.
         recipe: it was trained with; a longer training is advised where the default recipe has more steps.
         invocation: the command that was typed.
     """
     steps = []
     if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
-        longer = invocation.instead("run", out=f"{run.root}-{DEFAULT_RECIPE}", recipe=None, set=None)
+        longer = invocation.instead("run", out=f"{root}-{DEFAULT_RECIPE}", recipe=None, set=None)
         steps.append(NextStep("Train longer, for better depth:", longer))
-    near = invocation.instead("depth", run=run.root, bokeh=True, focus="near")
+    near = invocation.instead("depth", run=root, bokeh=True, focus="near")
     steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
     own = command_line("run", "my-captures/")
     steps.append(NextStep("Your own photos, once telewide calibrate has made a rig of your lenses:", own))

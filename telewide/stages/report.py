@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from telewide.capture.pair import read_photos
-from telewide.pages.run_page import report_row, write_page
+from telewide.pages.run_page import report_row, write_run_page
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
 
@@ -33,5 +33,12 @@ def report(call: Call, done: DepthRun) -> DepthRun:
         )
         for outcome in done.outcomes
     )
-    page = write_page(call.folder, rows, recipe=call.recipe, captures=call.captures.root, invocation=call.invocation)
+    page = write_run_page(
+        call.folder.root,
+        rows,
+        log=call.folder.training_log,
+        recipe=call.recipe,
+        captures=call.captures.root,
+        invocation=call.invocation,
+    )
     return replace(done, report=page)

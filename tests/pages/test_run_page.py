@@ -17,7 +17,6 @@ from telewide.depth.result import DepthResult
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.run_page import next_steps, report_row, training_curves
 from telewide.recipe import Recipe, load_recipe
-from telewide.stages.run_folder import RunFolder
 from telewide.text import Invocation
 
 RIG = Path("my rigs/phone.yaml")
@@ -26,7 +25,7 @@ RIG = Path("my rigs/phone.yaml")
 def commands(recipe: Recipe, *, rig: Path | None) -> dict[str, list[str]]:
     """The words of each command, by its subcommand and captures."""
     typed = Invocation("run", ("my captures",), {"out": "my run", "rig": rig, "recipe": "quick", "seed": 5})
-    steps = next_steps(RunFolder(Path("my run")), recipe=recipe, invocation=typed)
+    steps = next_steps(Path("my run"), recipe=recipe, invocation=typed)
     words = [shlex.split(step.command) for step in steps]
     assert all(word[0] == "telewide" for word in words)
     return {" ".join(word[1:3]): word[1:] for word in words}
