@@ -47,7 +47,7 @@ Tick = Callable[[int, int], None]
 
 
 class BroughtPhoto(Record):
-    """What is recorded of one photo: its name now and before, and what it states."""
+    """Record of one photo: its name now and before, and what it states."""
 
     file: Name
     source: Name

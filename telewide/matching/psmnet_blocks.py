@@ -1,4 +1,4 @@
-"""What the two pyramid stereo networks are built of: convolutions with batch normalisation, and the hourglass.
+"""Blocks of the two pyramid stereo networks: convolutions with batch normalisation, and the hourglass.
 
 Structure: Chang and Chen, *Pyramid Stereo Matching Network*, 2018; the layers have the names of the authors' code.
 Letters: B batch, C channels, D planes, H W grid at hand.

@@ -44,7 +44,7 @@ class ShotFacts:
 
 
 class ShotRecord(Record):
-    """What an alignment adds to its rig; the file ``shot.json``."""
+    """Content of ``shot.json``: what an alignment adds to its rig."""
 
     tele_hw: tuple[int, int]
     wide_hw: tuple[int, int]

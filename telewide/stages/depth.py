@@ -79,12 +79,12 @@ class DepthRun:
 
 
 def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | None = None) -> Recipe:
-    """The recipe to prepare pairs by: the run's, or the default without one, as the weights were taught to see them.
+    """Return the recipe to prepare pairs by: the run's, else the default, with what weights state of their pairs.
 
     Args:
         run: run folder, or None for the one that belongs to the captures.
         captures_root: folder of the captures.
-        weights: a weights file; its size, window and correction of the pairs stand above the run's.
+        weights: a weights file; its size, window and correction of the pairs take precedence over the run's.
 
     Raises:
         InputError: the run's record or the weights file is damaged.
@@ -130,7 +130,7 @@ def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:
 
 
 def _refuse_the_photos_folder(call: Call, out: Path) -> None:
-    """Results among the photos would be taken for captures, and captures for results."""
+    """Refuse results among the photos, which would be taken for captures."""
     photos = {call.captures.root, *(capture.tele_path.parent for capture in call.captures.captures)}
     places = {out, *(out / capture.name for capture in call.captures.captures)}
     if {os.path.realpath(path) for path in photos} & {os.path.realpath(path) for path in places}:
@@ -182,10 +182,10 @@ def make_folder(call: Call, options: DepthOptions) -> None:
 
 
 def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
-    """Compute the depth of this process' share, told as it comes; then the writer tells of the others' results.
+    """Compute this process' share of the depths, reporting each; the writer then reports the others'.
 
     Args:
-        call: where results go, who is told.
+        call: run folder and observer.
         prepared: the pairs.
         matcher: what makes disparity of them.
         options: what was asked for.
@@ -225,7 +225,7 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
 
 
 def _searched(call: Call, prepared: PreparedSet, matcher: Matcher) -> Window:
-    """The disparities to search, told; a network that was trained for fewer is named."""
+    """Return the disparities to search, and say them; a network that was trained for fewer is named."""
     window = prepared.window_with(matcher.window)
     call.observer.searching(window)
     if matcher.window is not None and joined_window((window, matcher.window)) != matcher.window:

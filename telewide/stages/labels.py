@@ -23,7 +23,7 @@ LABEL_CONFIDENCE = 0.5
 def write_labels(
     prepared: PreparedSet, *, names: Iterable[str], window: Window, tick: Callable[[], None] | None = None
 ) -> None:
-    """Write the confident semi-global disparities of some pairs, to teach by; those that are there, and whole, stay.
+    """Write the confident semi-global disparities of some pairs, to teach by; whole ones that are there are kept.
 
     Args:
         prepared: the pairs.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Matcher:
-    """Take the matcher of a call by name; a network is read, and it is said where its training is not finished.
+    """Choose the matcher of a call by name; a network is read, and an unfinished training is reported.
 
     Args:
         call: its run's newest weights are taken where none are named.
@@ -87,7 +87,7 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
 
 
 def _unfinished(weights: Path, card: WeightsCard) -> str | None:
-    """Where the training stands that goes on writing a weights file; None where it is finished, or nothing tells."""
+    """State of an unfinished training that still writes a weights file; None where it is finished, or nothing tells."""
     from telewide.matching.inference import choose_device
     from telewide.training.checkpoint import STATE_NAME, load_state
     from telewide.training.stages import plan_stages

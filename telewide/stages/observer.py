@@ -1,4 +1,4 @@
-"""Progress of the stages, told to whoever called: nothing below prints."""
+"""Progress of the stages, reported to the caller: nothing below prints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Observer(Reporter, Protocol):
-    """Receives the progress of a pipeline or of a calibration; all of a training's reporter, and the other stages."""
+    """Receives the progress of a pipeline or a calibration: what a training reports, and the other stages."""
 
     @property
     def invocation(self) -> Invocation | None:
