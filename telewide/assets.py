@@ -17,6 +17,10 @@ AssetKind = Literal["pipelines", "calib"]
 YAML_SUFFIXES = (".yaml", ".yml")
 """In any letter case."""
 _PACKAGE = Path(__file__).resolve().parent
+BOX_WEIGHTS = _PACKAGE / "weights" / "box.safetensors"
+"""The network that comes with telewide, made by the recipe `box`."""
+Start = Literal["box", "scratch"]
+"""What a training begins with: the network that comes with telewide, or random weights."""
 
 
 def find_asset(kind: AssetKind, name: str) -> Path:

@@ -84,11 +84,10 @@ def depth_captures(
         InputError: no capture could be used.
         UsageError: no trained run, or a bokeh that needs a baseline.
     """
-    is_untrained = options.method == "sgm"
-    device = "cpu" if is_untrained else options.device
+    device = "cpu" if options.method == "sgm" else options.device
     with begun(
         captures_root,
-        run=locate_run_of_depth(run, captures_root, out=options.out, needs_training=not is_untrained),
+        run=locate_run_of_depth(run, captures_root, out=options.out),
         recipe=recipe,
         device=device,
         observer=observer,

@@ -66,7 +66,10 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Matcher]
     torch_device = choose_device(device)
     if source.is_file():
         network, card = load_weights(source, device=torch_device)
-        return [_network_contender(label, network, card.window), _joint_contender(label, network, card.window)]
+        return [
+            _network_contender(label, network, card.searched_window),
+            _joint_contender(label, network, card.searched_window),
+        ]
     run = RunFolder(source)
     result = run.weights
     # Hidden ones are being written by a training under way.
@@ -81,20 +84,20 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Matcher]
         network, card = load_weights(result, device=torch_device)
         if not any(_is_equal(network, other) for _, other, _ in loaded):
             loaded.append(("result", network, card))
-        together = [_joint_contender(label, network, card.window)]
+        together = [_joint_contender(label, network, card.searched_window)]
     return [
-        *(_network_contender(f"{label}/{stage}", network, card.window) for stage, network, card in loaded),
+        *(_network_contender(f"{label}/{stage}", network, card.searched_window) for stage, network, card in loaded),
         *together,
     ]
 
 
-def _network_contender(name: str, network: StereoNetwork, window: Window) -> Matcher:
+def _network_contender(name: str, network: StereoNetwork, window: Window | None) -> Matcher:
     from telewide.matching.inference import match_with_network
 
     return Matcher(name, partial(match_with_network, network=network), window)
 
 
-def _joint_contender(name: str, network: StereoNetwork, window: Window) -> Matcher:
+def _joint_contender(name: str, network: StereoNetwork, window: Window | None) -> Matcher:
     from telewide.matching.joint import match_jointly
 
     return Matcher(f"{name} + {SGM}", partial(match_jointly, network=network), window)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from telewide.cli.progress import ConsoleObserver
     from telewide.stages.depth import DepthOptions, DepthRun
 
-DEPTH_EPILOG = "Example: `telewide depth --bokeh --focus near`; without a trained run: `telewide depth --method sgm`"
+DEPTH_EPILOG = "Example: `telewide depth --bokeh --focus near`; without a network: `telewide depth --method sgm`"
 
 
 def depth(

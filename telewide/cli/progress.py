@@ -138,9 +138,9 @@ class ConsoleObserver:
             self._last_line_s = time.monotonic()
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        """Say what the held-out matches answered."""
+        """Say what the judge answered."""
         off_px, share = judgement["clipped_px"], judgement["off_1px"]
-        told = f"  held-out matches missed by {off_px:.3f} px, {share:.1%} of them by > 1 px"
+        told = f"  judged {off_px:.3f} px off, {share:.1%} of the held-out matches by > 1 px"
         self._judgement = "" if math.isnan(off_px) else told
         self.said(f"{stage.name} {step}:{self._judgement or ' too few matches to judge by'}")
 

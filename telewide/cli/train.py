@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from telewide.assets import Start
 from telewide.cli.arguments import (
     CapturesArgument,
     DeviceOption,
@@ -30,6 +31,12 @@ def train(
     recipe: RecipeOption = "default",
     out: RunFolderOption = None,
     settings: SetOption = None,
+    start: Annotated[
+        Start | None,
+        typer.Option(
+            "--from", help="Begin with the network that comes with telewide, or from scratch. [default: recipe]"
+        ),
+    ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
     rig: RigOption = None,
     device: DeviceOption = "auto",
@@ -45,7 +52,7 @@ def train(
             captures,
             run=out,
             recipe=recipe,
-            settings=settings or (),
+            settings=[*(settings or ()), *([f"train.start={start}"] if start else [])],
             seed=seed,
             rig=rig,
             device=device,

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from telewide.matching.conv3d import Conv3d
-from telewide.matching.overwriting import add_enlarged, may_overwrite, planar_conv1x1
+from telewide.matching.overwriting import add_enlarged, is_overwriting_allowed, planar_conv1x1
 from telewide.matching.sampling import upsample_convex, warp_to_ref
 from telewide.matching.volume import correlate_at, correlate_groups, expect_disparity_at_mode
 from telewide.matching.window import VOLUME_STEP_PX, Window
@@ -137,7 +137,7 @@ class _Hourglass(nn.Module):
 
 def _gated(volume_BCDHW: Tensor, gate_BCHW: Tensor) -> Tensor:
     gate = gate_BCHW.sigmoid()[:, :, None]
-    return volume_BCDHW.mul_(gate) if may_overwrite() else volume_BCDHW * gate
+    return volume_BCDHW.mul_(gate) if is_overwriting_allowed() else volume_BCDHW * gate
 
 
 def _pooled(x: Tensor, factor: int) -> Tensor:
@@ -255,7 +255,7 @@ class GuidedMatching(nn.Module):
         return half_px + read[:, 0] * VOLUME_STEP_PX / 2, fine, read[:, 1:]
 
     def _entered(self, near: Tensor, guide: Tensor, relief: Tensor) -> Tensor:
-        if not may_overwrite():
+        if not is_overwriting_allowed():
             entered: Tensor = self.half_enter(torch.cat((near, guide, relief), dim=1))
             return entered
         # In two parts: laying 53 channels out side by side takes longer than convolving them.

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 
-def may_overwrite() -> bool:
+def is_overwriting_allowed() -> bool:
     """Whether a result may be written over what it was computed from."""
     return not (torch.is_grad_enabled() or torch.compiler.is_compiling())
 
@@ -23,7 +23,7 @@ def planar_conv1x1(conv: nn.Conv2d, x_BCHW: Tensor) -> Tensor:
     several times as long as a matrix product that writes them apart.
     """
     is_interleaved = x_BCHW.is_contiguous(memory_format=torch.channels_last)
-    if not may_overwrite() or not is_interleaved or conv.bias is None:
+    if not is_overwriting_allowed() or not is_interleaved or conv.bias is None:
         convolved: Tensor = conv(x_BCHW)
         return convolved
     batch, _, height, width = x_BCHW.shape
@@ -39,7 +39,7 @@ def add_enlarged(coarse_BCDHW: Tensor, fine_BCDHW: Tensor) -> Tensor:
     is_doubled = [2 * side for side in coarse_BCDHW.shape[2:]] == sides
     volumes = (coarse_BCDHW, fine_BCDHW)
     is_interleaved = all(x.is_contiguous(memory_format=torch.channels_last_3d) for x in volumes)
-    if not (may_overwrite() and is_doubled and is_interleaved):
+    if not (is_overwriting_allowed() and is_doubled and is_interleaved):
         return functional.interpolate(coarse_BCDHW, size=fine_BCDHW.shape[2:], mode="nearest").add_(fine_BCDHW)
     depth, height, width = coarse_BCDHW.shape[2:]
     # Only along the rows is the coarse volume repeated in memory.

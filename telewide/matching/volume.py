@@ -49,22 +49,22 @@ def correlate_groups(ref_BCHW: Tensor, src_BCHW: Tensor, *, window: Window, grou
     return correlate_at(ref, padded, _first_columns(shifts)).to(ref_BCHW.dtype)
 
 
-def correlate_at(ref_BGKHW: Tensor, padded_BGKHW: Tensor, columns: Sequence[int]) -> Tensor:
+def correlate_at(ref_groups: Tensor, padded_groups: Tensor, columns: Sequence[int]) -> Tensor:
     """Inner products over K channels of ref with as wide a part of src, at several places.
 
     Args:
-        ref_BGKHW: (B, G, K, H, W).
-        padded_BGKHW: (B, G, K, H, W + P) src.
+        ref_groups: (B, G, K, H, W).
+        padded_groups: (B, G, K, H, W + P) src.
         columns: D columns of src, at most P, each of which comes to lie under ref's column 0.
 
     Returns:
         (B, G, D, H, W).
     """
     if torch.compiler.is_compiling():  # for export: ONNX would scatter each sum in place into a whole volume
-        width = ref_BGKHW.shape[-1]
-        seen = (padded_BGKHW[..., first : first + width] for first in columns)
-        return torch.stack([(ref_BGKHW * part).sum(dim=2) for part in seen], dim=2)
-    volume_BGDHW: Tensor = _Correlation.apply(ref_BGKHW, padded_BGKHW, columns)  # type: ignore[no-untyped-call]
+        width = ref_groups.shape[-1]
+        seen = (padded_groups[..., first : first + width] for first in columns)
+        return torch.stack([(ref_groups * part).sum(dim=2) for part in seen], dim=2)
+    volume_BGDHW: Tensor = _Correlation.apply(ref_groups, padded_groups, columns)  # type: ignore[no-untyped-call]
     return volume_BGDHW
 
 

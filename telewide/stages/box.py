@@ -21,7 +21,7 @@ from telewide.stages.train import SHEET_ROWS, TrainOutcome, forget, outcome_of, 
 from telewide.stages.training_log import LoggedReporter, drop_log_after
 from telewide.stages.training_record import TrainingRecord, read_training, refuse_another_recipe, write_training
 from telewide.training.checkpoint import TrainingState
-from telewide.training.judge import world_judge
+from telewide.training.judge import JUDGE_SEED, crops_judge, judge_stage
 from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
 from telewide.training.options import StageOptions
@@ -29,8 +29,6 @@ from telewide.training.processes import Processes, joined_processes
 from telewide.training.stages import Stage
 from telewide.training.world_samples import WorldBatches, WorldSource
 
-JUDGE_SEED = 1_000_003
-"""Added to the recipe's seed: worlds that no step of the training has seen."""
 JUDGED_STEPS = 8
 
 
@@ -63,7 +61,7 @@ def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: Device, observe
             folder=folder.train,
             options=recipe.train,
             source=source,
-            judge=world_judge(judged, steps=JUDGED_STEPS),
+            judge=crops_judge(WorldBatches(judged, judge_stage(steps=JUDGED_STEPS)), window=judged.window_px),
             seed=recipe.seed,
             network_name=recipe.network,
             recipe=resolved,

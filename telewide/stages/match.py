@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint
@@ -25,7 +26,7 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Match
     """Choose the matcher of a call by name; a network is read, and an unfinished training is reported.
 
     Args:
-        call: its run's newest weights are taken where none are named.
+        call: where no weights are named, its run's newest are taken, and without any those that come with telewide.
         method: how to match.
         weights: a weights file, or None.
 
@@ -33,17 +34,17 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Match
         The matcher.
 
     Raises:
-        UsageError: there are no weights.
+        UsageError: the weights that are named do not exist.
         InputError: the weights cannot be read.
         MissingPartError: cuda was asked for and is not there.
     """
     path = weights or call.folder.weights
     if method != "sgm" and not path.is_file():  # said before torch is imported, which takes seconds
-        untrained = call.invocation.instead("depth", method="sgm", weights=None, device=None)
-        raise UsageError(
-            f"{path} does not exist" if weights else f"{call.folder.root} holds no trained network",
-            hint=f"train one: {call.invocation.instead('train')}\n  or match at once, untrained: {untrained}",
-        )
+        if weights is not None:
+            raise UsageError(f"{path} does not exist; a weights file was expected")
+        path = BOX_WEIGHTS
+        better = call.invocation.instead("train")
+        call.observer.said(f"matched by the network that comes with telewide; made better on your photos: {better}")
     matcher = read_matcher(path, method=method, device=call.device)
     if matcher.doubt is not None:
         goes_on = "" if weights else f"; {call.invocation.instead('train')} goes on"
@@ -80,7 +81,7 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
     return Matcher(
         f"{method} {fingerprint(weights)}",
         match,
-        card.window,
+        card.searched_window,
         doubt=_unfinished(weights, card),
         is_confidence_measured=method == "joint",
     )

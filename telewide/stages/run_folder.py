@@ -101,21 +101,18 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
     return RunFolder(run)
 
 
-def locate_run_of_depth(
-    run: Path | None, captures_root: Path, *, out: Path | None, needs_training: bool
-) -> Path | None:
+def locate_run_of_depth(run: Path | None, captures_root: Path, *, out: Path | None) -> Path | None:
     """Find the run folder of a depth call; one with a folder of its own for the results needs none.
 
     Args:
         run: the folder the user named, or None.
         captures_root: the folder of the captures.
         out: folder for the results, or None for the run's.
-        needs_training: whether weights of the run folder are wanted.
 
     Returns:
         The folder; a hidden one among the results where no run folder is needed.
     """
-    if run is not None or out is None or needs_training or locate_run(None, captures_root).root.exists():
+    if run is not None or out is None or locate_run(None, captures_root).root.exists():
         return run
     return out / ".telewide"
 

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import torch
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
@@ -46,12 +47,13 @@ from telewide.training.checkpoint import (
     new_state,
     save_state,
 )
-from telewide.training.judge import network_judge
+from telewide.training.judge import JUDGE_SEED, Judge, crops_judge, joined_judge, judge_stage, network_judge
 from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
 from telewide.training.samples import CropArea, SampleSource, fitting_crop
 from telewide.training.stages import Stage, plan_stages
+from telewide.training.world_samples import WorldBatches, WorldSource
 
 _OWN_FILES = re.compile(
     r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|space|feature-\d+)\.(png|safetensors)"
@@ -59,6 +61,8 @@ _OWN_FILES = re.compile(
 USUAL_ASYMMETRY = (1.0, 6.0)
 """Where neither the recipe nor the pairs say how much coarser wide is."""
 SHEET_ROWS = 6
+JUDGED_STEPS = 4
+"""Of rehearsed crops that judge, beside the held-out matches."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +203,8 @@ def state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingS
     path = run.train / STATE_NAME
     if path.is_file():
         return load_state(path, network_name=recipe.network, device=device, plan=plan_stages(recipe.train))
-    return new_state(recipe.network, seed=recipe.seed, device=device)
+    weights = BOX_WEIGHTS if recipe.train.start == "box" else None
+    return new_state(recipe.network, seed=recipe.seed, device=device, weights=weights)
 
 
 def _reopen(state: TrainingState) -> None:
@@ -241,6 +246,8 @@ def _training(
         labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
     )
     judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
+    if recipe.train.rehearsal.steps and recipe.train.rehearsal.rehearsed:
+        judge = joined_judge(judge, _worlds_judge(recipe))
     return Training(
         folder=run.train,
         options=recipe.train,
@@ -253,6 +260,12 @@ def _training(
         processes=processes,
         workers=workers_for(device),
     )
+
+
+def _worlds_judge(recipe: Recipe) -> Judge:
+    """Ask worlds that owe nothing to the captures: it stays the same when captures come or go."""
+    source = WorldSource(seed=recipe.seed + JUDGE_SEED, crop_hw=recipe.train.crop_hw)
+    return crops_judge(WorldBatches(source, judge_stage(steps=JUDGED_STEPS)), window=source.window_px)
 
 
 def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe) -> tuple[int, int]:

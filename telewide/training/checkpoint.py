@@ -99,9 +99,28 @@ def new_optimiser(network: nn.Module) -> torch.optim.Optimizer:
     return torch.optim.Adam(network.parameters(), lr=1e-3, betas=(0.9, 0.999))
 
 
-def new_state(network_name: str, *, seed: int, device: torch.device) -> TrainingState:
-    """A training that has not begun."""
+def new_state(network_name: str, *, seed: int, device: torch.device, weights: Path | None = None) -> TrainingState:
+    """A training that has not begun.
+
+    Args:
+        network_name: of the network to train.
+        seed: of random weights.
+        device: to put its tensors on.
+        weights: the file to start from; None for random ones.
+
+    Raises:
+        UsageError: the file holds another network.
+        InputError: the file is missing or damaged.
+    """
     network = build_network(network_name, seed=seed).to(device)
+    if weights is not None:
+        started, card = load_weights(weights, device=device)
+        if card.network != network_name:
+            raise UsageError(
+                f"{weights.name} holds the network {card.network}, and the recipe trains {network_name}",
+                hint=f"take network={card.network}, or train.start=scratch",
+            )
+        network.load_state_dict(started.state_dict())
     return TrainingState(network, copy.deepcopy(network), new_optimiser(network))
 
 
@@ -274,6 +293,13 @@ class WeightsCard:
     window: Window
     recipe: Mapping[str, object]
     training: Mapping[str, object]
+
+    @property
+    def searched_window(self) -> Window | None:
+        """Disparities that the captures of its training needed, px; None where it saw worlds alone."""
+        options = self.recipe.get("train")
+        saw_worlds = isinstance(options, Mapping) and options.get("worlds") is True
+        return None if saw_worlds else self.window
 
 
 def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> None:

@@ -18,9 +18,9 @@ from torch.utils.data import DataLoader, Dataset
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatImage
 from telewide.training.objective import Batch
-from telewide.training.samples import Sample, SampleSource, crop_capture, generator_for, rehearse
+from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
 from telewide.training.stages import Stage
-from telewide.training.world_samples import WorldBatches, WorldSource
+from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crop, worlds_for
 
 _REHEARSED, _CAPTURED = 0, 1
 
@@ -50,19 +50,23 @@ class StepBatches(Dataset[Batch]):
                 hint="symmetric_input and symmetric_loss are for data sets that are damaged on purpose",
             )
         self._stage, self._seed = stage, seed
-        self._rank, self._world = rank, world
+        options = stage.options
+        self._mine = range(rank, options.rehearsed + options.captured, world)
+        self._worlds = worlds_for(
+            (seed, stage.index),
+            crop_hw=source.crop_hw,
+            crops=options.rehearsed,
+            mine=sum(crop < options.rehearsed for crop in self._mine),
+            window_px=source.window_px,
+            photos=SeenPhotos(source),
+        )
 
     def __len__(self) -> int:
         return self._stage.options.steps
 
     def __getitem__(self, step: int) -> Batch:
-        options = self._stage.options
-        mine = range(self._rank, options.rehearsed + options.captured, self._world)
-        rehearsed = [
-            rehearse(self._source, rng=self._generator(step, _REHEARSED, crop))
-            for crop in mine
-            if crop < options.rehearsed
-        ]
+        options, mine = self._stage.options, self._mine
+        rehearsed = [self._rehearsed(step, crop) for crop in mine if crop < options.rehearsed]
         captured = [
             crop_capture(
                 self._source,
@@ -75,6 +79,17 @@ class StepBatches(Dataset[Batch]):
         batch = collate([*rehearsed, *captured], n_rehearsed=len(rehearsed))
         return batch if self._stage.needs_undamaged else replace(batch, undamaged=None)
 
+    def _rehearsed(self, step: int, crop: int) -> Sample:
+        """A crop of a world painted with the user's own photos too, its source view damaged as by the wide lens."""
+        rng = self._generator(step, _REHEARSED, crop)
+        crisp = self._worlds.crop(step, crop, rng=rng, window=self._source.window_px)
+        damaged = damaged_crop(crisp, rng, factors=self._source.asymmetry, equal_share=0.0)
+        ref, src, *undamaged = (
+            np.ascontiguousarray(view.permute(1, 2, 0)) for view in (damaged.ref, damaged.src, crisp.ref, crisp.src)
+        )
+        truth_px, occluded = crisp.truth_px.numpy(), crisp.occluded.numpy()
+        return Sample(ref, src, truth_px, occluded=occluded, undamaged=(undamaged[0], undamaged[1]))
+
     def _generator(self, *salt: int) -> np.random.Generator:
         return generator_for(self._seed, self._stage.index, *salt)
 
@@ -83,7 +98,8 @@ Batches = StepBatches | WorldBatches
 
 
 def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
-    """Stack samples into one batch; undamaged views where every sample has them."""
+    """Stack samples into one batch; undamaged views where every sample has them, what is hidden where rehearsed do."""
+    hidden = [sample.occluded for sample in samples[:n_rehearsed] if sample.occluded is not None]
     undamaged = [sample.undamaged for sample in samples if sample.undamaged is not None]
     has_all = len(undamaged) == len(samples)
     return Batch(
@@ -91,6 +107,7 @@ def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
         _stack_images([sample.src for sample in samples]),
         torch.from_numpy(np.stack([sample.truth_px for sample in samples])),
         n_rehearsed,
+        occluded_BHW=torch.from_numpy(np.stack(hidden)) if hidden else None,
         undamaged=_stack_pairs(undamaged) if has_all else None,
     )
 

@@ -1,7 +1,8 @@
-"""The judge between steps and stages: a network asked on held-out matches."""
+"""The judges between steps and stages: a network asked on held-out matches, and on rehearsals it has not seen."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -9,49 +10,75 @@ import torch
 
 from telewide.capture.pair import PairReader
 from telewide.matching.inference import low_precision, match_with_network
-from telewide.matching.networks import StereoNetwork, standardise
+from telewide.matching.networks import StereoNetwork, prepare_view
 from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.training.data import Batches
+from telewide.training.objective import Batch
 from telewide.training.options import StageOptions
 from telewide.training.stages import Stage
-from telewide.training.world_samples import WorldBatches, WorldSource
 
-JUDGED_CROPS = 4
-"""Crops of worlds in a batch of the judge."""
+Judge = Callable[[StereoNetwork], dict[str, float]]
+JUDGE_SEED = 1_000_003
+"""Added to a training's seed: rehearsals that no step of it has seen."""
 
 
-def world_judge(source: WorldSource, *, steps: int) -> Callable[[StereoNetwork], dict[str, float]]:
-    """Bind the crops of some steps of worlds, which no training sees, into a judge; every pixel counts the same.
+def judge_stage(*, steps: int) -> Stage:
+    """A stage whose batches a judge asks."""
+    return Stage("judge", 0, StageOptions(steps=steps, rehearsed=4))
+
+
+def crops_judge(batches: Batches, *, window: Window) -> Judge:
+    """Bind rehearsed crops, which no training sees, into a judge; every pixel counts the same, hidden ones too.
 
     Args:
-        source: worlds of a seed of their own.
-        steps: how many batches.
+        batches: of a `judge_stage`; made when they are first asked.
+        window: disparities to search where a batch names none, px.
 
     Returns:
-        A function from a network to the shares of `summarise_errors`, hidden pixels included.
+        A function from a network to the shares of `summarise_errors`.
     """
-    stage = Stage("judge", 0, StageOptions(steps=steps, rehearsed=JUDGED_CROPS))
-    batches = [WorldBatches(source, stage)[step] for step in range(steps)]
+    made: list[Batch] = []
 
     @torch.inference_mode()
     def judge(network: StereoNetwork) -> dict[str, float]:
         network.eval()
         device = next(network.parameters()).device
+        if not made:
+            made.extend(batches[step] for step in range(len(batches)))
         errors_px = []
-        for batch in (batch.to(device) for batch in batches):
-            window = batch.window or source.window_px
+        for batch in (batch.to(device) for batch in made):
+            searched = batch.window or window
+            views = (prepare_view(network.features, view) for view in (batch.ref_BCHW, batch.src_BCHW))
             with low_precision(device):
-                output = network(standardise(batch.ref_BCHW), standardise(batch.src_BCHW), window)
-            known = (batch.truth_px_BHW >= window[0]) & (batch.truth_px_BHW < window[1])
+                output = network(*views, searched)
+            known = (batch.truth_px_BHW >= searched[0]) & (batch.truth_px_BHW < searched[1])
             errors_px.append((output.disparity_px.float() - batch.truth_px_BHW).abs()[known].cpu().numpy())
         return summarise_errors(np.concatenate(errors_px))
 
     return judge
 
 
-def network_judge(
-    held_out: Sequence[HeldOut], *, window: Window, reader: PairReader
-) -> Callable[[StereoNetwork], dict[str, float]]:
+def joined_judge(matches: Judge, rehearsals: Judge) -> Judge:
+    """Join two judges: what decides is the mean of both, or the one that has an answer; the rest is the first's.
+
+    Sparse matches lie on sharp texture and are right to a fraction of a pixel; rehearsals know plain walls, edges and
+    what is hidden.
+
+    Args:
+        matches: asks held-out matches.
+        rehearsals: asks rehearsed crops.
+    """
+
+    def judge(network: StereoNetwork) -> dict[str, float]:
+        answers = [matches(network), rehearsals(network)]
+        decisive_px = [answer["clipped_px"] for answer in answers if not math.isnan(answer["clipped_px"])]
+        return {**answers[0], "clipped_px": sum(decisive_px) / len(decisive_px) if decisive_px else math.nan}
+
+    return judge
+
+
+def network_judge(held_out: Sequence[HeldOut], *, window: Window, reader: PairReader) -> Judge:
     """Bind held-out captures into a judge for the training loop; every match counts the same.
 
     Args:

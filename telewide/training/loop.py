@@ -266,8 +266,13 @@ def _is_judgement_due(training: Training, state: TrainingState, stage: Stage) ->
     if stage.is_teaching_space:  # which changes no match
         return False
     every, last = stage.options.judge_every_steps or training.options.judge_every_steps, stage.options.steps
-    due = state.step // every + (state.step == last and last % every != 0)
+    due = state.step // every + (state.step == last and last % every != 0) + _has_result_before(training, stage)
     return len(state.judgements) < due
+
+
+def _has_result_before(training: Training, stage: Stage) -> bool:
+    """Whether the weights before a stage's first step are a result that it may fall back to."""
+    return training.options.start == "box" and stage.index == 0
 
 
 def _is_converged(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> bool:
@@ -289,10 +294,10 @@ def _least_px(judgements: Sequence[float]) -> float:
 
 
 def _keep_best(state: TrainingState, stage: Stage) -> None:
-    """Remember the average as it is if it is the best yet; before the stage's least steps nothing counts."""
+    """Remember the average if it is the best yet; of what comes before the least steps, only the start counts."""
     judgement = state.judgements[-1]
     is_better = state.best is None or not _is_no_better(judgement, than=state.best.judgement)
-    if state.step >= stage.options.counts_from and is_better:
+    if (state.step >= stage.options.counts_from or state.step == 0) and is_better:
         weights = {name: value.clone() for name, value in state.average.state_dict().items()}
         state.best = BestWeights(state.step, judgement, weights)
 

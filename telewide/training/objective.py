@@ -44,7 +44,7 @@ class Batch:
         src_BCHW: (B, 3, H, W) in [0, 1].
         truth_px_BHW: (B, H, W), NaN where unknown.
         n_rehearsed: how many of the first crops are rendered; the others are real.
-        occluded_BHW: (B, H, W) bool, hidden from src; None where nobody knows.
+        occluded_BHW: (n_rehearsed, H, W) bool, hidden from src; None where nobody knows.
         window: disparities to search in these crops, px; None for the training's.
         undamaged: both views as they were before any damage, (B, 3, H, W) in [0, 1]; None where nobody has them.
     """
@@ -149,20 +149,23 @@ def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window:
             (name, weight * factor, supervised_loss(disparity_px[part], truth_px))
             for disparity_px, factor in _weighted_outputs(output)
         ]
-    return terms + _head_terms(output, batch, window)
+    return terms + (_head_terms(output, batch, window) if options.rehearsed else [])
 
 
 def _head_terms(output: NetworkOutput, batch: Batch, window: Window) -> Weighted:
-    """Terms of what a network says of its own result, where the crops say whether it is so."""
-    if output.heads_BCHW is None or batch.occluded_BHW is None:
+    """Terms of what a network says of its own result, in rehearsed crops: they say whether it is so."""
+    if output.heads_BCHW is None:
         return []
-    truth_px = batch.truth_px_BHW
+    truth_px = batch.truth_px_BHW[: batch.n_rehearsed]
     known = (truth_px >= window[0]) & (truth_px < window[1])
-    is_sure = (output.disparity_px.detach() - truth_px).abs() < SURE_PX
-    sure, hidden = output.heads_BCHW.unbind(dim=1)
+    is_sure = (output.disparity_px[: batch.n_rehearsed].detach() - truth_px).abs() < SURE_PX
+    sure, hidden = output.heads_BCHW[: batch.n_rehearsed].unbind(dim=1)
+    occluded = batch.occluded_BHW
+    is_told = known if occluded is not None else torch.zeros_like(known)
+    is_hidden = torch.zeros_like(known) if occluded is None else occluded
     return [
         ("sure", HEAD_WEIGHT, state_loss(sure, is_sure, known_BHW=known)),
-        ("hidden", HEAD_WEIGHT, state_loss(hidden, batch.occluded_BHW, known_BHW=known)),
+        ("hidden", HEAD_WEIGHT, state_loss(hidden, is_hidden, known_BHW=is_told)),
     ]
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from telewide.assets import Start
 from telewide.options import Options
 from telewide.ranges import MAX_CROP_PX, MAX_STAGES, MAX_STEP_PIXELS, MAX_STEPS
 
@@ -74,6 +75,8 @@ class TrainOptions(Options):
 
     crop_hw: tuple[Side, Side] = (256, 384)
     """Height and width of the crops, px."""
+    start: Start = "scratch"
+    """From the weights that come with telewide, or from random ones."""
     stages: Annotated[int, Field(ge=0, le=MAX_STAGES)] = 3
     """K, how many feature-metric stages follow at most."""
     rehearsal: StageOptions = StageOptions(steps=0)

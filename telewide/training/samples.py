@@ -18,11 +18,8 @@ import numpy as np
 
 from telewide.capture.images import read_pfm
 from telewide.capture.pair import Capture, PairReader
-from telewide.geometry.arrays import FloatImage, FloatMap
-from telewide.simulate.degrade import degrade, random_degradation
-from telewide.simulate.scene import random_scene, render_pair
+from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
 
-_TEXTURE_PHOTOS = 3
 _ZOOM = (0.75, 1.2)
 """Enlargement of a crop of a capture. Above 1 disparities spread, and the margin of the window has to hold them."""
 _CROP_MULTIPLE_PX, _LEAST_CROP_PX = 16, 64
@@ -39,12 +36,14 @@ class Sample:
         ref: (H, W, 3) float32 sRGB, the sharp view.
         src: (H, W, 3) float32 sRGB, the other view.
         truth_px: (H, W) float32 disparity, px, NaN where nothing is known.
+        occluded: (H, W) bool, hidden from src; None where nobody knows.
         undamaged: both views before any damage, where they are known.
     """
 
     ref: FloatImage
     src: FloatImage
     truth_px: FloatMap
+    occluded: BoolMap | None = None
     undamaged: tuple[FloatImage, FloatImage] | None = None
 
 
@@ -97,21 +96,24 @@ def generator_for(seed: int, *salt: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence([seed, *salt]))
 
 
-def rehearse(source: SampleSource, *, rng: np.random.Generator) -> Sample:
-    """Render a still life painted with the user's own photos, and damage its source view as a wide lens would.
+@dataclass(frozen=True)
+class SeenPhotos(Sequence[FloatImage]):
+    """The sharp views that training may see, each read when it is asked for.
 
-    Args:
-        source: the photos and the sizes.
-        rng: source of all draws.
-
-    Returns:
-        A sample whose truth is known everywhere, behind other objects too.
+    Attributes:
+        source: the captures.
     """
-    photos = [_seen(source.reader.read(_choose(source.captures, rng)).tele, source) for _ in range(_TEXTURE_PHOTOS)]
-    scene = random_scene(rng, hw=source.crop_hw, disparity_window_px=source.window_px, photos=photos)
-    pair = render_pair(scene)
-    damage = random_degradation(rng, factor=source.asymmetry)
-    return Sample(pair.ref, degrade(pair.src, damage, rng=rng), pair.disparity_px, (pair.ref, pair.src))
+
+    source: SampleSource
+
+    def __len__(self) -> int:
+        return len(self.source.captures)
+
+    def __getitem__(self, index: int) -> FloatImage:  # type: ignore[override]
+        """(H, W, 3) float32 sRGB of capture ``index``, without what is held out."""
+        photo = self.source.reader.read(self.source.captures[index]).tele
+        first_x, end_x = _seen_columns(photo.shape[1], self.source)
+        return photo[:, first_x:end_x]
 
 
 def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bool) -> Sample:
@@ -144,7 +146,7 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
         ref, src = _exchanged((ref, src))
         undamaged = None if undamaged is None else _exchanged(undamaged)
         truth_px = np.full_like(truth_px, np.nan)
-    return Sample(ref, src, truth_px, undamaged)
+    return Sample(ref, src, truth_px, undamaged=undamaged)
 
 
 def _exchanged(views: tuple[FloatImage, FloatImage]) -> tuple[FloatImage, FloatImage]:
@@ -173,11 +175,6 @@ def fitting_crop(crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]]) 
 
 def _choose(captures: Sequence[Capture], rng: np.random.Generator) -> Capture:
     return captures[int(rng.integers(len(captures)))]
-
-
-def _seen(photo: FloatImage, source: SampleSource) -> FloatImage:
-    first_x, end_x = _seen_columns(photo.shape[1], source)
-    return photo[:, first_x:end_x]
 
 
 def _seen_columns(width: int, source: SampleSource) -> tuple[int, int]:

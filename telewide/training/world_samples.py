@@ -1,8 +1,8 @@
-"""Crops of ray-cast worlds, damaged anew each time they are seen.
+"""Crops of ray-cast worlds, damaged anew each time they are seen: a training's alone, or its rehearsal's.
 
 Crop k of step i is a function of (seed, i, k) alone. Casting a world takes longer than damaging it, so that each is
-seen a few times: step i has one new world, and draws the rest from steps before it. These are multiples of ``STRIDE``
-away, so that each of up to so many processes draws from worlds it has cast itself.
+seen a few times: crop k has worlds of its own, a new one every ``STEPS_A_WORLD`` steps, and draws from the
+last of them. A process thus casts the worlds of its crops, and no others.
 Letters: B batch, H W crop.
 """
 
@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from telewide.geometry.arrays import FloatImage
 from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.simulate.raycast.arrange import draw_world
 from telewide.simulate.raycast.damage import Damage, damage_view, draw_damage
@@ -25,17 +28,133 @@ from telewide.simulate.raycast.render import cast_pair
 from telewide.training.objective import Batch
 from telewide.training.stages import Stage
 
-STRIDE = 8
+STEPS_A_WORLD = 6
+"""Steps to the next new world of a crop, and how often each is seen."""
 KEPT_WORLDS = 8
 """Worlds that a crop is drawn from, the new one among them."""
 WORLDS_A_PALETTE = 250
 PALETTE_SIZE = 96
 """Textures, and as many outlines."""
-WORLD_HW = (288, 480)
+SIZE_OF_CROPS = 1.5
+"""Sides of a world's views, in those of a crop."""
 PLANES = (12, 16, 20, 24)
 """Widths of the windows, in planes of the volume."""
-FIRST_WORLD = STRIDE * KEPT_WORLDS
-"""Number of the world that is new in step 0."""
+MARGIN_PX = 3
+"""Of a window, in which no world's disparity is meant to lie."""
+LARGEST_FACTOR = 8.5
+EQUAL_SHARE = 0.1
+"""Of the pairs: only colour differs."""
+
+
+@dataclass(frozen=True)
+class WorldCrop:
+    """Piece of a world.
+
+    Attributes:
+        ref: (3, H, W) float32 sRGB.
+        src: (3, H, W) float32 sRGB.
+        truth_px: (H, W) float32 disparity, known everywhere, the hidden parts too.
+        occluded: (H, W) bool, hidden from src.
+    """
+
+    ref: Tensor
+    src: Tensor
+    truth_px: Tensor
+    occluded: Tensor
+
+
+@dataclass
+class Worlds:
+    """Worlds that crops are cut from, by crop and step; keeps the last ones that were asked for.
+
+    Attributes:
+        seed: of everything.
+        crop_hw: size of the crops.
+        crops: how many a step has.
+        room: how many worlds are kept.
+        window_px: disparities to fill; None for ranges as phones, light fields and test scenes have them.
+        photos: (H, W, 3) float32 sRGB, to paint with beside what is drawn.
+    """
+
+    seed: tuple[int, ...]
+    crop_hw: tuple[int, int]
+    crops: int
+    room: int
+    window_px: Window | None = None
+    photos: Sequence[FloatImage] = ()
+    _kept: OrderedDict[int, WorldCrop] = field(default_factory=OrderedDict)
+    _palette: tuple[int, Palette] | None = None
+
+    def crop(self, step: int, k: int, *, rng: np.random.Generator, window: Window) -> WorldCrop:
+        """Cut crop k of a step, in colours of its own, with src moved so that the window holds its disparities.
+
+        Args:
+            step: of the stage.
+            k: number of the crop in the step.
+            rng: source of all draws but the world's own.
+            window: disparities ``[d_min, d_max)``, px.
+        """
+        # Not all crops take a new world in the same step.
+        turn = (step + k * STEPS_A_WORLD // self.crops) // STEPS_A_WORLD + int(rng.integers(KEPT_WORLDS))
+        return _recoloured(_cut(self._cast_once(turn * self.crops + k), rng, self.crop_hw, window), rng)
+
+    def _cast_once(self, number: int) -> WorldCrop:
+        if number not in self._kept:
+            self._kept[number] = self._cast(number)
+            while len(self._kept) > self.room:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(number)
+        return self._kept[number]
+
+    def _cast(self, number: int) -> WorldCrop:
+        rng = np.random.default_rng([*self.seed, 3, number])
+        palette = self._palette_of(number)
+        hw = (int(SIZE_OF_CROPS * self.crop_hw[0]), int(SIZE_OF_CROPS * self.crop_hw[1]))
+        world = draw_world(rng, palette, hw=hw, disparities_px=self._draw_range(rng))
+        pair = cast_pair(world, palette)
+        ref, src = ((view * 255).round().byte().permute(2, 0, 1) for view in (pair.ref, pair.src))
+        return WorldCrop(ref, src, pair.disparity_px, pair.occluded)
+
+    def _draw_range(self, rng: np.random.Generator) -> tuple[float, float]:
+        """Disparities of the background and of the nearest things, px."""
+        if self.window_px is None:
+            far_px = rng.uniform(-10, 30)
+            return far_px, far_px + math.exp(rng.uniform(math.log(6), math.log(75)))
+        low, high = self.window_px[0] + MARGIN_PX, self.window_px[1] - MARGIN_PX
+        far_px = rng.uniform(low, low + 0.5 * (high - low))
+        return far_px, rng.uniform(far_px + 0.5 * (high - far_px), high)
+
+    def _palette_of(self, number: int) -> Palette:
+        epoch = number // WORLDS_A_PALETTE
+        if self._palette is None or self._palette[0] != epoch:
+            seed = (*self.seed, 4, epoch)
+            palette = _palette(seed, PALETTE_SIZE, self.photos) if self.photos else _drawn_palette(seed, PALETTE_SIZE)
+            self._palette = (epoch, palette)
+        return self._palette[1]
+
+
+def _palette(seed: tuple[int, ...], size: int, photos: Sequence[FloatImage] = ()) -> Palette:
+    return draw_palette(np.random.default_rng(seed), n_textures=size, n_outlines=size, photos=photos)
+
+
+_drawn_palette = lru_cache(maxsize=2)(_palette)
+
+
+def damaged_crop(
+    crop: WorldCrop, rng: np.random.Generator, *, factors: tuple[float, float], equal_share: float = EQUAL_SHARE
+) -> WorldCrop:
+    """Damage src as a wide lens would, and ref a little.
+
+    Args:
+        crop: as it was cut.
+        rng: source of all draws.
+        factors: range of how many times fewer pixels src has along each axis.
+        equal_share: of the pairs that differ in colour alone.
+    """
+    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+    src = damage_view(crop.src, draw_damage(rng, factors=factors, equal_share=equal_share), generator=generator)
+    ref = damage_view(crop.ref, _mild_damage(rng), generator=generator)
+    return WorldCrop(ref, src, crop.truth_px, crop.occluded)
 
 
 @dataclass(frozen=True)
@@ -66,7 +185,9 @@ class WorldBatches(Dataset[Batch]):
     def __init__(self, source: WorldSource, stage: Stage, *, rank: int = 0, world: int = 1) -> None:
         self._source, self._stage = source, stage
         self._mine = range(rank, stage.options.rehearsed, world)
-        self._worlds = _CastWorlds(source.seed)
+        self._worlds = worlds_for(
+            (source.seed,), crop_hw=source.crop_hw, crops=stage.options.rehearsed, mine=len(self._mine)
+        )
 
     def __len__(self) -> int:
         return self._stage.options.steps
@@ -76,86 +197,60 @@ class WorldBatches(Dataset[Batch]):
         planes = int(np.random.default_rng([seed, 1, step]).choice(PLANES))
         window = (0, planes * VOLUME_STEP_PX)
         crops = [self._crop(np.random.default_rng([seed, 2, step, k]), step, k, window) for k in self._mine]
-        ref, src, truth_px, occluded = (torch.stack(parts) for parts in zip(*crops, strict=True))
         return Batch(
-            ref_BCHW=ref,
-            src_BCHW=src,
-            truth_px_BHW=truth_px,
+            ref_BCHW=torch.stack([crop.ref for crop in crops]),
+            src_BCHW=torch.stack([crop.src for crop in crops]),
+            truth_px_BHW=torch.stack([crop.truth_px for crop in crops]),
             n_rehearsed=len(crops),
-            occluded_BHW=occluded,
+            occluded_BHW=torch.stack([crop.occluded for crop in crops]),
             window=window,
         )
 
-    def _crop(self, rng: np.random.Generator, step: int, k: int, window: Window) -> tuple[Tensor, ...]:
-        ago = int(rng.integers(KEPT_WORLDS)) if k else 0
-        return _crop(self._worlds.cast(FIRST_WORLD + step - STRIDE * ago), rng, self._source.crop_hw, window)
+    def _crop(self, rng: np.random.Generator, step: int, k: int, window: Window) -> WorldCrop:
+        return damaged_crop(self._worlds.crop(step, k, rng=rng, window=window), rng, factors=(1.0, LARGEST_FACTOR))
 
 
-@dataclass(frozen=True)
-class _Cast:
-    ref: Tensor
-    src: Tensor
-    disparity_px: Tensor
-    occluded: Tensor
+def worlds_for(
+    seed: tuple[int, ...],
+    *,
+    crop_hw: tuple[int, int],
+    crops: int,
+    mine: int,
+    window_px: Window | None = None,
+    photos: Sequence[FloatImage] = (),
+) -> Worlds:
+    """Worlds of a process that makes some crops of each step.
+
+    Args:
+        seed: of everything.
+        crop_hw: size of the crops.
+        crops: how many a step has.
+        mine: how many of them this process makes.
+        window_px: as of `Worlds`.
+        photos: as of `Worlds`.
+    """
+    room = 2 * KEPT_WORLDS * max(1, mine)
+    return Worlds(seed=seed, crop_hw=crop_hw, crops=crops, room=room, window_px=window_px, photos=photos)
 
 
-@dataclass
-class _CastWorlds:
-    """Worlds by number; keeps the last ones."""
-
-    seed: int
-    _kept: OrderedDict[int, _Cast] = field(default_factory=OrderedDict)
-    _palette: tuple[int, Palette] | None = None
-
-    def cast(self, number: int) -> _Cast:
-        if number not in self._kept:
-            self._kept[number] = self._cast(number)
-            while len(self._kept) > 2 * STRIDE * KEPT_WORLDS:
-                self._kept.popitem(last=False)
-        return self._kept[number]
-
-    def _cast(self, number: int) -> _Cast:
-        rng = np.random.default_rng([self.seed, 3, number])
-        palette = self._palette_of(number)
-        far_px = rng.uniform(-10, 30)
-        span_px = math.exp(rng.uniform(math.log(6), math.log(75)))
-        world = draw_world(rng, palette, hw=WORLD_HW, disparities_px=(far_px, far_px + span_px))
-        pair = cast_pair(world, palette)
-        ref, src = ((view * 255).round().byte() for view in (pair.ref, pair.src))
-        return _Cast(ref, src, pair.disparity_px, pair.occluded)
-
-    def _palette_of(self, number: int) -> Palette:
-        epoch = number // WORLDS_A_PALETTE
-        if self._palette is None or self._palette[0] != epoch:
-            rng = np.random.default_rng([self.seed, 4, epoch])
-            self._palette = (epoch, draw_palette(rng, n_textures=PALETTE_SIZE, n_outlines=PALETTE_SIZE))
-        return self._palette[1]
-
-
-def _crop(cast: _Cast, rng: np.random.Generator, hw: tuple[int, int], window: Window) -> tuple[Tensor, ...]:
-    """Ref, src, truth and what is hidden, of a piece of a world; src is moved so that the window holds it."""
+def _cut(whole: WorldCrop, rng: np.random.Generator, hw: tuple[int, int], window: Window) -> WorldCrop:
     height, width = hw
-    y0, x0 = (int(rng.integers(whole - part + 1)) for whole, part in zip(cast.disparity_px.shape, hw, strict=True))
-    here = np.s_[y0 : y0 + height, x0 : x0 + width]
-    truth_px, occluded = cast.disparity_px[here], cast.occluded[here]
-    shift = _shift(truth_px, window, rng, limits=(x0 - (cast.ref.shape[1] - width), x0))
-    ref, src = cast.ref[here], cast.src[y0 : y0 + height, x0 - shift : x0 - shift + width]
-    ref, src = (view.permute(2, 0, 1).float() / 255 for view in (ref, src))
+    y0, x0 = (int(rng.integers(side - part + 1)) for side, part in zip(whole.truth_px.shape, hw, strict=True))
+    here = np.s_[..., y0 : y0 + height, x0 : x0 + width]
+    truth_px, occluded = whole.truth_px[here], whole.occluded[here]
+    shift = _shift(truth_px, window, rng, limits=(x0 - (whole.ref.shape[-1] - width), x0))
+    ref, src = whole.ref[here], whole.src[..., y0 : y0 + height, x0 - shift : x0 - shift + width]
     truth_px = truth_px - shift
     x_src = torch.arange(width) - truth_px
     occluded = occluded | (x_src < 0) | (x_src > width - 1)
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    src = damage_view(src, draw_damage(rng), generator=generator)
-    ref = damage_view(ref, _mild_damage(rng), generator=generator)
-    parts = (*_recoloured(ref, src, rng), truth_px, occluded)
-    return tuple(part.flip(-2) for part in parts) if rng.random() < 0.5 else parts
+    return WorldCrop(ref.float() / 255, src.float() / 255, truth_px, occluded)
 
 
 def _shift(truth_px: Tensor, window: tuple[int, int], rng: np.random.Generator, *, limits: tuple[int, int]) -> int:
     """Shift of src by which the crop's disparities lie somewhere in the window."""
     low, high = (float(v) for v in torch.quantile(truth_px.flatten()[::7], torch.tensor([0.01, 0.99])))
-    slack = max(0.0, window[1] - window[0] - (high - low) - 6)
-    wanted = low - window[0] - 3 - rng.uniform(0, 1) * slack
+    slack = max(0.0, window[1] - window[0] - (high - low) - 2 * MARGIN_PX)
+    wanted = low - window[0] - MARGIN_PX - rng.uniform(0, 1) * slack
     return int(np.clip(round(wanted), *limits))
 
 
@@ -165,11 +260,12 @@ def _mild_damage(rng: np.random.Generator) -> Damage:
     return Damage(blur_sigma_px=(sigma, sigma), noise_std=rng.uniform(0, 0.012) * (rng.random() < 0.6))
 
 
-def _recoloured(ref: Tensor, src: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Exchange channels and change exposure alike in both views; grey now and then."""
+def _recoloured(crop: WorldCrop, rng: np.random.Generator) -> WorldCrop:
+    """Exchange channels, change exposure and turn upside down, alike in both views; grey now and then."""
     order = torch.from_numpy(rng.permutation(3))
     gamma, gain = math.exp(rng.normal(0, 0.25)), math.exp(rng.normal(0, 0.2))
-    ref, src = ((view[order] ** gamma * gain).clamp(0, 1) for view in (ref, src))
+    ref, src = ((view[order] ** gamma * gain).clamp(0, 1) for view in (crop.ref, crop.src))
     if rng.random() < 0.08:
         ref, src = (view.mean(dim=0, keepdim=True).expand(3, -1, -1) for view in (ref, src))
-    return ref, src
+    parts = (ref, src, crop.truth_px, crop.occluded)
+    return WorldCrop(*(part.flip(-2) for part in parts)) if rng.random() < 0.5 else WorldCrop(*parts)

@@ -16,6 +16,7 @@ import pytest
 import yaml
 from capture.roll import TELE, WIDE, exif_of, write_photo
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.capture.images import write_image
 from telewide.cli import main
 from telewide.cli.progress import ConsoleObserver
@@ -143,28 +144,19 @@ def test_unknown_key_in_captures_yaml_names_the_nearest(captures: Path, capsys: 
     refused(capsys, "depth", "--method", "sgm", code=3, names=("baseline_mm", "baseline_m", "captures.yaml"))
 
 
-def test_depth_without_a_trained_run_says_how_to_get_one(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names = ("no trained network", "telewide train captures\n", "telewide depth captures --method sgm\n")
-    refused(capsys, "depth", code=2, names=names)
-    refused(
-        capsys,
-        "depth",
-        "--run",
-        "elsewhere",
-        code=2,
-        names=("telewide train captures --out elsewhere\n", "depth captures --run elsewhere --method sgm"),
-    )
-    captures.rename("my pairs")
-    names = ("telewide train 'my pairs'\n", "telewide depth 'my pairs' --method sgm")
-    refused(capsys, "depth", "my pairs", code=2, names=names)
-
-
-def test_depth_without_a_trained_run_is_refused_without_torch(
-    captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_depth_without_a_training_is_of_the_network_in_the_box(
+    captures: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("torch", "telewide.matching.inference", "telewide.training.checkpoint"):
-        monkeypatch.setitem(sys.modules, name, None)
-    refused(capsys, "depth", code=2, names=("no trained network",))
+    """And the way to make it better is said, as this call would be typed."""
+    captures.rename("my pairs")
+    assert run_cli("depth", "my pairs", "--out", "d1") == 0
+    told = capsys.readouterr().err
+    assert "network that comes with telewide" in told
+    assert "telewide train 'my pairs'" in told
+    assert not Path("run").exists()
+    assert run_cli("depth", "my pairs", "--out", "d2", "--weights", str(BOX_WEIGHTS)) == 0
+    for made in sorted(Path("d1").glob("*/disparity.pfm")):
+        assert made.read_bytes() == (Path("d2") / made.parent.name / made.name).read_bytes()
 
 
 def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:

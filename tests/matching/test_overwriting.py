@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from telewide.matching.overwriting import add_enlarged, may_overwrite, planar_conv1x1
+from telewide.matching.overwriting import add_enlarged, is_overwriting_allowed, planar_conv1x1
 
 
 def randn(*shape: int, seed: int = 0) -> torch.Tensor:
@@ -15,9 +15,9 @@ def randn(*shape: int, seed: int = 0) -> torch.Tensor:
 
 
 def test_only_where_no_gradient_is_asked_for() -> None:
-    assert not may_overwrite()
+    assert not is_overwriting_allowed()
     with torch.no_grad():
-        assert may_overwrite()
+        assert is_overwriting_allowed()
 
 
 @pytest.mark.parametrize("batch", [1, 2])

@@ -13,7 +13,7 @@ from telewide.errors import UsageError
 from telewide.recipe import Recipe, load_recipe
 from telewide.stages import box
 from telewide.stages.box import train_box
-from telewide.training import judge, world_samples
+from telewide.training import world_samples
 from telewide.training.checkpoint import read_card
 from telewide.training.stages import Stage
 
@@ -49,11 +49,9 @@ def signal_interrupt() -> None:
 
 @pytest.fixture(autouse=True)
 def _small_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(world_samples, "WORLD_HW", (80, 128))
+    monkeypatch.setattr(world_samples, "SIZE_OF_CROPS", 1.25)
     monkeypatch.setattr(world_samples, "PALETTE_SIZE", 6)
-    monkeypatch.setattr(world_samples, "STRIDE", 1)
     monkeypatch.setattr(world_samples, "KEPT_WORLDS", 2)
-    monkeypatch.setattr(judge, "JUDGED_CROPS", 1)
     monkeypatch.setattr(box, "JUDGED_STEPS", 1)
     monkeypatch.setattr(box, "SHEET_ROWS", 1)
     # In this process, where the sizes above hold.

@@ -217,9 +217,8 @@ def test_a_file_called_run_is_not_passed_over(tmp_path: Path, monkeypatch: pytes
 def test_depth_with_a_place_of_its_own_makes_no_run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     captures, out = tmp_path / "captures", tmp_path / "d1"
-    assert locate_run_of_depth(None, captures, out=out, needs_training=False) == out / ".telewide"
-    assert locate_run_of_depth(None, captures, out=out, needs_training=True) is None
-    assert locate_run_of_depth(None, captures, out=None, needs_training=False) is None
-    assert locate_run_of_depth(Path("mine"), captures, out=out, needs_training=False) == Path("mine")
+    assert locate_run_of_depth(None, captures, out=out) == out / ".telewide"
+    assert locate_run_of_depth(None, captures, out=None) is None
+    assert locate_run_of_depth(Path("mine"), captures, out=out) == Path("mine")
     (tmp_path / "run").mkdir()  # pairs that lie there are taken
-    assert locate_run_of_depth(None, captures, out=out, needs_training=False) is None
+    assert locate_run_of_depth(None, captures, out=out) is None

@@ -329,6 +329,7 @@ def test_a_reopened_training_ends_no_worse(
         return lambda network: {DECISIVE: next(answers, 0.3)}
 
     monkeypatch.setattr(telewide.stages.train, "network_judge", judge)
+    monkeypatch.setattr(telewide.stages.train, "joined_judge", lambda matches, worlds: matches)
     run_training(captures, run, recipe)
     result = load_file(run / "train" / "weights.safetensors")
     add_capture(captures, tmp_path / "more")

@@ -77,6 +77,26 @@ def test_a_state_comes_back_as_it_was(tmp_path: Path) -> None:
     assert not any(p.requires_grad for p in back.teacher.parameters())
 
 
+def test_a_training_begins_with_the_weights_of_a_file(tmp_path: Path) -> None:
+    weights = tmp_path / "lite.safetensors"
+    save_weights(build_network("lite", seed=5), weights, card=CARD)
+    state = new_state("lite", seed=1, device=CPU, weights=weights)
+    for network in (state.network, state.average):
+        for a, b in zip(build_network("lite", seed=5).parameters(), network.parameters(), strict=True):
+            assert torch.equal(a, b)
+    with pytest.raises(UsageError, match=r"lite\.safetensors holds the network lite, and the recipe trains guided"):
+        new_state("guided", seed=1, device=CPU, weights=weights)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "window"), [({"train": {"worlds": True}}, None), ({"train": {}}, WINDOW), ({}, WINDOW)]
+)
+def test_weights_taught_by_worlds_alone_ask_for_no_window(
+    recipe: dict[str, object], window: tuple[int, int] | None
+) -> None:
+    assert WeightsCard("guided", WINDOW, recipe, {}).searched_window == window
+
+
 def test_a_new_state_has_no_teacher(tmp_path: Path) -> None:
     save_state(new_state("lite", seed=1, device=CPU), tmp_path / "state.pt")
     assert load_state(tmp_path / "state.pt", network_name="lite", device=CPU).teacher is None

@@ -238,6 +238,18 @@ def test_no_judgement_before_the_least_steps_counts(tmp_path: Path, source: Samp
     assert state.stage_judgements == [0.4]
 
 
+def test_a_training_that_starts_from_a_result_never_ends_below_it(tmp_path: Path, source: SampleSource) -> None:
+    """It is judged before the first step, and kept where no step brought anything better."""
+    state, heard = fresh(), Heard()
+    start = copy.deepcopy(state.average)
+    options = short(photometric={**PHOTOMETRIC, "steps": 3, "least_steps": 3}, stages=0, start="box")
+    training = training_in(tmp_path, source, judge=ScriptedJudge((0.3, 0.9, 0.9, 0.4)), options=options)
+    finished = train(training, state, reporter=heard)
+    assert heard.judgements[0] == ("photometric", 0, 0.3)
+    assert is_same(finished.average, start)
+    assert finished.stage_judgements == [0.3]
+
+
 def test_a_stage_may_be_judged_at_steps_of_its_own(tmp_path: Path, source: SampleSource) -> None:
     options = short(photometric={**PHOTOMETRIC, "steps": 4, "judge_every_steps": 2}, stages=0)
     heard = Heard()

@@ -13,28 +13,24 @@ from telewide.training.stages import Stage, plan_stages
 # stage: steps, learning rate, rehearsed and real crops, loss of the real ones and its weight, alpha, lambda, masks,
 # exchange, weight of labels beside
 Line = tuple[int, float, int, int, str, float, float, float, bool, bool, float]
-LABELLED = (2, 1, "labels", 1.0, 3.0, 0.1, True, False, 0.0)
+LABELLED = ("labels", 1.0, 3.0, 0.1, True, False, 0.0)
 BESIDE_LABELS = (2, 1, "feature", 0.5, 1.0, 0.02, True, False, 1.0)
 AS_PUBLISHED = (0, 2, "feature", 1.0, 3.0, 0.5, False, True, 0.0)
 RECIPES: dict[str, tuple[str, float, dict[str, Line]]] = {
     "default": (
-        "lite",
+        "guided",
         0.995,
-        {
-            "rehearsal": (4000, 1e-3, *LABELLED),
-            "feature-1": (600, 1e-4, *BESIDE_LABELS),
-            "feature-2": (600, 1e-4, *BESIDE_LABELS),
-        },
+        {"rehearsal": (400, 1e-4, 3, 1, *LABELLED), "feature-1": (100, 3e-5, *BESIDE_LABELS)},
     ),
     "quick": (
-        "lite",
+        "guided",
         0.995,
-        {"rehearsal": (600, 1e-3, *LABELLED), "feature-1": (100, 1e-4, *BESIDE_LABELS)},
+        {"rehearsal": (80, 1e-4, 2, 1, *LABELLED), "feature-1": (40, 3e-5, *BESIDE_LABELS)},
     ),
     "box": (
         "guided",
         0.999,
-        {"rehearsal": (60000, 5e-4, 4, 0, "photometric", 1.0, 3.0, 0.1, True, False, 0.0)},
+        {"rehearsal": (24000, 5e-4, 4, 0, "photometric", 1.0, 3.0, 0.1, True, False, 0.0)},
     ),
     "paper": (
         "psmnet-s",
@@ -81,11 +77,18 @@ def test_every_shipped_recipe_is_in_the_table(repo: Path) -> None:
     assert {path.stem for path in (repo / "pipelines").glob("*.yaml")} == set(RECIPES)
 
 
+def test_recipes_for_captures_begin_with_the_network_in_the_box_and_the_papers_does_not() -> None:
+    assert {name: load_recipe(name).train.start for name in RECIPES} == {
+        **dict.fromkeys(("default", "quick"), "box"),
+        **dict.fromkeys(("paper", "box"), "scratch"),
+    }
+
+
 def test_feature_metric_stages_alone_need_the_extractor_of_the_stage_before() -> None:
     for name in RECIPES:
         for stage in plan_stages(load_recipe(name).train):
             assert stage.needs_teacher == stage.name.startswith("feature-")
-            assert stage.needs_labels == (RECIPES[name][0] == "lite")
+            assert stage.needs_labels == (load_recipe(name).train.start == "box")
 
 
 @pytest.mark.parametrize(

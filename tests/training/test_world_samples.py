@@ -18,8 +18,7 @@ def _few_small_worlds() -> None:
     """Nothing here depends on how large a world is or how long it is kept."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(world_samples, "KEPT_WORLDS", 3)
-        patch.setattr(world_samples, "STRIDE", 1)
-        patch.setattr(world_samples, "WORLD_HW", (112, 192))
+        patch.setattr(world_samples, "SIZE_OF_CROPS", 1.25)
         patch.setattr(world_samples, "PALETTE_SIZE", 12)
         yield
 

@@ -28,6 +28,7 @@ from telewide.benchmark.report import library_versions
 from telewide.benchmark.scores import score_regions
 from telewide.benchmark.spaces import space_psnr_db
 from telewide.errors import TelewideError
+from telewide.files import fingerprint
 from telewide.folders import alone_in
 from telewide.geometry.arrays import FloatMap
 from telewide.records import Record, as_read, checked, read_record, write_record
@@ -110,6 +111,7 @@ class Cells:
             "format": FORMAT,
             "system": plan.system.name,
             "sources": source_fingerprint([*plan.system.sources, *_MEASURING]),
+            "files": [fingerprint(path) for path in plan.system.files],
             "versions": library_versions(),
             "scenes": [self._fingerprint(scene) for scene in plan.scenes],
             "window": list(plan.task.window) if plan.scenes[0].protocol.window_px else None,

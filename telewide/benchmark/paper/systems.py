@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.damages import Damage, damaged_view
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.datasets.truth import StereoTruth
@@ -22,9 +23,11 @@ from telewide.benchmark.spaces import match_features
 from telewide.errors import UsageError
 from telewide.geometry.arrays import ByteImage, FloatMap
 from telewide.matching.filling import fill_rows
+from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.srgb import grey
+from telewide.stages.match import read_matcher
 
 Tell = Callable[[str], None]
 Matcher = Callable[[FloatMap, FloatMap, Window], FloatMap]
@@ -82,6 +85,7 @@ class System:
         prepare: (task, folder of its own to keep what it learns in, tell) to matchers by the name of their weights:
             last and best, or one without a name.
         sources: modules of telewide that decide what it answers; a change to one of them makes its cells anew.
+        files: what it reads besides, such as weights; a change makes its cells anew likewise.
         learns: whether training, validation and budget of the task matter.
         encoder: of a space of features, (task, folder, tell) to what makes them; None for a system that is none.
     """
@@ -90,6 +94,7 @@ class System:
     title: str
     prepare: Callable[[Task, Path, Tell], Mapping[str, Matcher]]
     sources: tuple[str, ...]
+    files: tuple[Path, ...] = ()
     learns: bool = True
     encoder: Callable[[Task, Path, Tell], Encoder] | None = None
 
@@ -126,6 +131,13 @@ def _match_semiglobal(ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
     return match_semiglobal(ref, src, window=window).disparity_px
 
 
+def _comes_with_telewide(method: Method) -> Mapping[str, Matcher]:
+    """A method with the network in the box."""
+    match = read_matcher(BOX_WEIGHTS, method=method, device="auto").match
+    return {"": lambda ref, src, window: match(ref, src, window=window).disparity_px}
+
+
+_BOX_SOURCES = ("matching.guided", "matching.inference", "matching.sampling", "matching.volume")
 _SYSTEMS = (
     System(
         "sgm-opencv",
@@ -139,6 +151,22 @@ _SYSTEMS = (
         "sgm of telewide",
         lambda _task, _folder, _tell: {"": _match_semiglobal},
         ("matching.semiglobal", "matching.filling", "matching.subpixel"),
+        learns=False,
+    ),
+    System(
+        "ours",
+        "telewide depth, as it comes",
+        lambda _task, _folder, _tell: _comes_with_telewide("joint"),
+        (*_BOX_SOURCES, "matching.joint", "matching.semiglobal", "matching.filling", "matching.subpixel"),
+        files=(BOX_WEIGHTS,),
+        learns=False,
+    ),
+    System(
+        "ours-network",
+        "its network alone, as it comes",
+        lambda _task, _folder, _tell: _comes_with_telewide("network"),
+        _BOX_SOURCES,
+        files=(BOX_WEIGHTS,),
         learns=False,
     ),
     System(

@@ -48,15 +48,21 @@ class Damage:
     turn_rad: float = 0.0
 
 
-def draw_damage(rng: np.random.Generator, *, largest_factor: float = 8.5, equal_share: float = 0.1) -> Damage:
-    """Draw what wide lenses do; now and then only colour differs, as between equal cameras."""
+def draw_damage(rng: np.random.Generator, *, factors: tuple[float, float], equal_share: float) -> Damage:
+    """Draw what wide lenses do; now and then only colour differs, as between equal cameras.
+
+    Args:
+        rng: source of all draws.
+        factors: smallest and largest loss of resolution.
+        equal_share: share of the draws with equal cameras.
+    """
     gain = np.exp(rng.normal(0, 0.22) + rng.normal(0, 0.1, 3))
     colour = {"gain": tuple(float(g) for g in gain), "gamma": math.exp(rng.normal(0, 0.15))}
     if rng.random() < 0.25:
         colour = {}
     if rng.random() < equal_share:
         return Damage(noise_std=rng.uniform(0, 0.01), **colour)  # type: ignore[arg-type]
-    factor = math.exp(rng.uniform(0, math.log(largest_factor)))
+    factor = math.exp(rng.uniform(math.log(factors[0]), math.log(factors[1])))
     major = factor * rng.uniform(0, 0.6)
     moves = rng.random() < 0.6
     return Damage(

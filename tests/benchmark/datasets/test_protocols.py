@@ -22,6 +22,7 @@ from telewide.errors import InputError, UsageError
 
 SIZES = {
     "middlebury-2006-third": (14, 3, 4),
+    "choice-middlebury-2006": (17,),
     "paper-inria-slfd": (40, 13),
     "paper-hci": (15, 7),
     "paper-middlebury": (24, 6),
