@@ -6,7 +6,8 @@ Exit codes: 0 done, 1 our own fault, 2 usage, 3 bad input, 4 quality gate, 5 a m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 _OUT_OF_MEMORY = ("Insufficient memory", "can't allocate memory", "CUDA out of memory")
@@ -78,3 +79,19 @@ def extra_hint(extra: str) -> str:
         extra: its name in pyproject.toml.
     """
     return f"in your clone of telewide, in its environment: pip install -e '.[{extra}]'"
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str], *, listed: str | None = None) -> UsageError:
+    """Make the error of a name that nothing has.
+
+    Args:
+        kind: of what was named.
+        name: as it was given.
+        known: names there are; the nearest is told, in any letter case.
+        listed: how they are listed; None lists all.
+    """
+    known = tuple(known)
+    by_fold = {one.casefold(): one for one in known}
+    nearest = difflib.get_close_matches(name.casefold(), by_fold, n=1)
+    hint = f"did you mean {by_fold[nearest[0]]}?" if nearest else None
+    return UsageError(f"unknown {kind} {name!r}; known: {listed or ', '.join(known)}", hint=hint)

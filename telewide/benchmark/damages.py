@@ -6,7 +6,6 @@ for each scene and is the same whenever the seed is.
 
 from __future__ import annotations
 
-import difflib
 import math
 import zlib
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, unknown_name
 from telewide.files import read_yaml
 from telewide.geometry.arrays import FloatImage
 from telewide.options import Options, parse_options
@@ -101,9 +100,7 @@ def find_damage(name: str, damages: Damages) -> Damage:
     """
     if name.upper() in damages.damages:
         return damages.damages[name.upper()]
-    nearest = difflib.get_close_matches(name.upper(), damages.damages, n=1)
-    hint = f"did you mean {nearest[0]}?" if nearest else None
-    raise UsageError(f"unknown damage {name!r}; known: {', '.join(damages.damages)}", hint=hint)
+    raise unknown_name("damage", name, damages.damages)
 
 
 def damaged_view(view: FloatImage, damage: Damage, *, factor: float, scene: str, seed: int) -> FloatImage:

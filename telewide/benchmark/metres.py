@@ -77,7 +77,7 @@ class DepthMaker:
 
     Attributes:
         name: as it stands in tables.
-        method: as ``telewide depth --method`` takes it.
+        method: how to match.
         weights: of its network; None for semi-global matching.
         recipe: how the pairs are corrected.
     """

@@ -9,66 +9,43 @@ they come from the matcher and after :func:`telewide.depth.edges.follow_edges`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from telewide.benchmark.datasets.middlebury import write_middlebury_captures
+from telewide.benchmark.datasets.protocols import find_protocol
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
+from telewide.benchmark.scores import Score, score_pixels
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
 from telewide.depth.edges import follow_edges
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.matcher import Matcher
-from telewide.metrics import end_point_error_px, three_pixel_error
 
 PUBLISHED = (
     "for comparison: on six other scenes of Middlebury at x4 the authors of the method that the recipe paper follows "
     "report 8.72 % / 1.36 px for its stage 0, 5.78 % / 1.09 px for its last, 8.87 % / 1.54 px for semi-global matching"
 )
 """Chen et al., CVPR 2022, bicubic degradation; see the README for what differs."""
-SPLITS: dict[str, tuple[str, ...]] = {
-    "training": (
-        *("Baby1", "Baby2", "Bowling1", "Bowling2", "Cloth1", "Cloth2", "Cloth4"),
-        *("Flowerpots", "Lampshade2", "Midd1", "Monopoly", "Plastic", "Rocks1", "Wood1"),
-    ),
-    "validation": ("Baby3", "Lampshade1", "Wood2"),
-    "test": ("Aloe", "Cloth3", "Midd2", "Rocks2"),
-}
+PROTOCOL = "middlebury-2006-third"
+"""Of `telewide.benchmark.datasets.protocols`: splits, window and left-out columns."""
 Row = Mapping[str, object]
-WINDOW = (0, 80)
-SKIPPED_COLUMNS = 53
 MEAN = "mean"
 
 
-@dataclass(frozen=True)
-class Score:
-    """Errors of one map.
-
-    Attributes:
-        share_off_3px: 3PE, in [0, 1].
-        end_point_error_px: EPE.
-    """
-
-    share_off_3px: float
-    end_point_error_px: float
-
-
-def score_map(estimate_px: FloatMap, truth_px: FloatMap, *, skipped_columns: int = SKIPPED_COLUMNS) -> Score:
-    """Judge a filled map by the protocol above.
+def score_map(estimate_px: FloatMap, truth_px: FloatMap, *, left_out_columns: int) -> Score:
+    """Judge a filled map.
 
     Args:
         estimate_px: (H, W) disparity, px.
         truth_px: (H, W) disparity, px; NaN where unknown.
-        skipped_columns: first columns that do not count.
+        left_out_columns: first columns that do not count.
     """
     counts = np.zeros(truth_px.shape, dtype=np.bool_)
-    counts[:, skipped_columns:] = True
-    return Score(
-        three_pixel_error(estimate_px, truth_px, mask=counts), end_point_error_px(estimate_px, truth_px, mask=counts)
-    )
+    counts[:, left_out_columns:] = True
+    return score_pixels(estimate_px, truth_px, counts)
 
 
 def benchmark_middlebury(
@@ -97,6 +74,8 @@ def benchmark_middlebury(
         UsageError: a scene that is not there.
         InputError: a file cannot be read.
     """
+    protocol = find_protocol(PROTOCOL)
+    window, left_out_columns = protocol.window_px or (0, 0), protocol.left_out_columns
     write_middlebury_captures(data_root, captures, scenes=scenes, factor=factor)
     found = {capture.name: capture for capture in find_captures(captures).captures}
     rows: list[Row] = []
@@ -106,10 +85,12 @@ def benchmark_middlebury(
             raise InputError(f"{captures / scene} was written and has no truth")
         for contender in contenders:
             tell(f"{scene}: {contender.name}")
-            disparity = contender.match(pair.tele, pair.wide, window=WINDOW)
+            disparity = contender.match(pair.tele, pair.wide, window=window)
             for follows, estimate_px in ((False, disparity.disparity_px), (True, _followed(disparity, pair))):
-                rows.append(_row(contender.name, scene, score_map(estimate_px, truth_px), follows=follows))
-    options = {"scenes": list(scenes), "factor": factor, "window": WINDOW, "skipped_columns": SKIPPED_COLUMNS}
+                score = score_map(estimate_px, truth_px, left_out_columns=left_out_columns)
+                errors = (score.off_3px_5percent, score.end_point_error_px)
+                rows.append(_row(contender.name, scene, errors, follows=follows))
+    options = {"scenes": list(scenes), "factor": factor, "window": window, "skipped_columns": left_out_columns}
     return BenchmarkReport("middlebury", options, tuple(_with_means(rows)), notes=(PUBLISHED,))
 
 
@@ -129,14 +110,8 @@ def _followed(disparity: DisparityMap, pair: RectifiedPair) -> FloatMap:
     return follow_edges(disparity.disparity_px, pair.tele, confidence=disparity.confidence, valid=disparity.valid)
 
 
-def _row(matcher: str, scene: str, score: Score, *, follows: bool) -> Row:
-    return {
-        "matcher": matcher,
-        "follow_edges": follows,
-        "scene": scene,
-        "3PE": score.share_off_3px,
-        "EPE_px": score.end_point_error_px,
-    }
+def _row(matcher: str, scene: str, errors: tuple[float, float], *, follows: bool) -> Row:
+    return {"matcher": matcher, "follow_edges": follows, "scene": scene, "3PE": errors[0], "EPE_px": errors[1]}
 
 
 def _mean(rows: Sequence[Row], key: str) -> float:
@@ -149,7 +124,7 @@ def _with_means(rows: Sequence[Row]) -> list[Row]:
     means = []
     for matcher, follows in variants:
         mine = [row for row in rows if (row["matcher"], row["follow_edges"]) == (matcher, follows)]
-        means.append(_row(matcher, MEAN, Score(_mean(mine, "3PE"), _mean(mine, "EPE_px")), follows=follows))
+        means.append(_row(matcher, MEAN, (_mean(mine, "3PE"), _mean(mine, "EPE_px")), follows=follows))
     return [*rows, *means]
 
 

@@ -56,10 +56,22 @@ def score_regions(estimate_px: FloatMap, truth: StereoTruth) -> dict[Region, Sco
     regions: dict[Region, BoolMap] = {"all": known}
     if truth.occluded is not None:
         regions |= {"visible": known & ~truth.occluded, "occluded": known & truth.occluded}
-    return {name: _score(estimate_px, truth.disparity_px, pixels) for name, pixels in regions.items() if pixels.any()}
+    return {
+        name: score_pixels(estimate_px, truth.disparity_px, pixels) for name, pixels in regions.items() if pixels.any()
+    }
 
 
-def _score(estimate_px: FloatMap, truth_px: FloatMap, pixels: BoolMap) -> Score:
+def score_pixels(estimate_px: FloatMap, truth_px: FloatMap, pixels: BoolMap) -> Score:
+    """Judge a disparity map over some pixels.
+
+    Args:
+        estimate_px: (H, W) disparity, px; NaN where there is none.
+        truth_px: (H, W) disparity, px; NaN where unknown.
+        pixels: (H, W) bool, those that count.
+
+    Raises:
+        ValueError: the shapes differ, or no pixel that counts has a known truth.
+    """
     return Score(
         off_3px_5percent=three_pixel_error(estimate_px, truth_px, mask=pixels),
         end_point_error_px=end_point_error_px(estimate_px, truth_px, mask=pixels),

@@ -69,14 +69,16 @@ def middlebury(
 ) -> None:
     """Measure errors against known disparity, the second view made soft."""
     from telewide.benchmark.contenders import all_contenders
-    from telewide.benchmark.middlebury import SPLITS, benchmark_middlebury, middlebury_table
+    from telewide.benchmark.datasets.protocols import find_protocol
+    from telewide.benchmark.middlebury import PROTOCOL, benchmark_middlebury, middlebury_table
 
-    if split not in SPLITS:
-        raise UsageError(f"--split {split}: expected {', '.join(SPLITS)}")
+    splits = find_protocol(PROTOCOL).splits
+    if split not in splits:
+        raise UsageError(f"--split {split}: expected {', '.join(splits)}")
     contenders = all_contenders(run or (), device=device)
     with _new_folder_or_temporary(captures) as folder:
         report = benchmark_middlebury(
-            data_root, contenders, scenes=SPLITS[split], factor=factor, captures=folder, tell=_tell
+            data_root, contenders, scenes=splits[split], factor=factor, captures=folder, tell=_tell
         )
     _hand_over(report, middlebury_table(report), json_file)
 

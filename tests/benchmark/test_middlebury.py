@@ -10,9 +10,7 @@ from telewide.benchmark.contenders import semiglobal_contender
 from telewide.benchmark.datasets.middlebury import middlebury_2006_scenes
 from telewide.benchmark.datasets.protocols import find_protocol
 from telewide.benchmark.middlebury import (
-    SKIPPED_COLUMNS,
-    SPLITS,
-    WINDOW,
+    PROTOCOL,
     benchmark_middlebury,
     middlebury_table,
     score_map,
@@ -21,9 +19,11 @@ from telewide.benchmark.report import BenchmarkReport
 from telewide.capture.images import write_image
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.matcher import Matcher
 from telewide.matching.window import Window
+
+WINDOW, LEFT_OUT = find_protocol(PROTOCOL).window_px, find_protocol(PROTOCOL).left_out_columns
 
 DISPARITY_PX = 9
 HW = (64, 128)
@@ -32,7 +32,7 @@ HW = (64, 128)
 def constant(name: str, disparity_px: float, *, wrong_columns: int = 0) -> Matcher:
     """A matcher that knows the answer, but in its first columns."""
 
-    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         assert window == WINDOW
         found_px = np.full(ref.shape[:2], disparity_px, np.float32)
         found_px[:, :wrong_columns] = 70
@@ -64,18 +64,18 @@ def measured(root: Path, *contenders: Matcher) -> BenchmarkReport:
 def test_a_perfect_map_scores_zero(rng: np.random.Generator) -> None:
     truth_px = rng.uniform(5, 70, (20, 90)).astype(np.float32)
     truth_px[:5] = np.nan
-    score = score_map(np.nan_to_num(truth_px), truth_px)
-    assert (score.share_off_3px, score.end_point_error_px) == (0, 0)
+    score = score_map(np.nan_to_num(truth_px), truth_px, left_out_columns=LEFT_OUT)
+    assert (score.off_3px_5percent, score.end_point_error_px) == (0, 0)
 
 
 def test_the_first_columns_do_not_count() -> None:
-    truth_px = np.full((4, SKIPPED_COLUMNS + 10), 20, np.float32)
+    truth_px = np.full((4, LEFT_OUT + 10), 20, np.float32)
     estimate_px = truth_px.copy()
-    estimate_px[:, :SKIPPED_COLUMNS] = 0
-    assert score_map(estimate_px, truth_px).end_point_error_px == 0
-    estimate_px[:, SKIPPED_COLUMNS] = 0  # the first one that counts: a tenth of all
-    score = score_map(estimate_px, truth_px)
-    assert score.share_off_3px == pytest.approx(0.1)
+    estimate_px[:, :LEFT_OUT] = 0
+    assert score_map(estimate_px, truth_px, left_out_columns=LEFT_OUT).end_point_error_px == 0
+    estimate_px[:, LEFT_OUT] = 0  # the first one that counts: a tenth of all
+    score = score_map(estimate_px, truth_px, left_out_columns=LEFT_OUT)
+    assert score.off_3px_5percent == pytest.approx(0.1)
     assert score.end_point_error_px == pytest.approx(2.0)
 
 
@@ -111,11 +111,6 @@ def test_an_unknown_scene_is_refused(scenes_root: Path, tmp_path: Path) -> None:
         )
 
 
-def test_the_protocol_of_that_name_says_the_same() -> None:
-    protocol = find_protocol("middlebury-2006-third")
-    assert (protocol.splits, protocol.window_px, protocol.left_out_columns) == (SPLITS, WINDOW, SKIPPED_COLUMNS)
-
-
 def test_splits_share_no_scene_and_miss_none(data_root: Path) -> None:
-    scenes = [scene for split in SPLITS.values() for scene in split]
+    scenes = [scene for split in find_protocol(PROTOCOL).splits.values() for scene in split]
     assert sorted(scenes) == list(middlebury_2006_scenes(data_root / "middlebury_2006_third"))

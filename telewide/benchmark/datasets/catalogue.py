@@ -6,7 +6,6 @@ None of them is fetched, and none is part of telewide.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 from telewide.benchmark.datasets import kitti, light_fields, middlebury
 from telewide.benchmark.datasets.own_captures import captures_with_truth, read_capture_with_truth
 from telewide.benchmark.datasets.truth import StereoTruth
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, UsageError, unknown_name
 
 Views = tuple[int, int]
 """Numbers of the left and the right view, where a set has more than two."""
@@ -158,9 +157,7 @@ def find_data_set(name: str) -> DataSet:
         UsageError: there is no such set; the nearest name is told.
     """
     if name not in DATA_SETS:
-        nearest = difflib.get_close_matches(name, DATA_SETS, n=1)
-        hint = f"did you mean {nearest[0]}?" if nearest else None
-        raise UsageError(f"unknown data set {name!r}; known: {', '.join(DATA_SETS)}", hint=hint)
+        raise unknown_name("data set", name, DATA_SETS)
     return DATA_SETS[name]
 
 

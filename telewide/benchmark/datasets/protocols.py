@@ -6,7 +6,6 @@ explicitly, a user's own file of the same form too.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from pydantic import Field
 
 from telewide.benchmark.datasets.catalogue import DATA_SETS, DataSet, Views, find_data_set, locate, missing_note
 from telewide.benchmark.datasets.truth import StereoTruth
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, UsageError, unknown_name
 from telewide.files import read_yaml
 from telewide.matching.window import Window
 from telewide.options import Options, parse_options
@@ -123,11 +122,8 @@ def find_protocol(name: str) -> Protocol:
         return protocols[name]
     if name in DATA_SETS:
         return Protocol(data_sets=(name,))
-    nearest = difflib.get_close_matches(name, [*protocols, *DATA_SETS], n=1)
-    raise UsageError(
-        f"unknown protocol {name!r}; known: {', '.join(protocols)}, and every data set by its name",
-        hint=f"did you mean {nearest[0]}?" if nearest else None,
-    )
+    known = f"{', '.join(protocols)}, and every data set by its name"
+    raise unknown_name("protocol", name, [*protocols, *DATA_SETS], listed=known)
 
 
 def select_scenes(protocol: Protocol, data_root: Path, *, split: str | None = None) -> Selection:

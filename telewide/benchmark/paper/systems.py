@@ -6,7 +6,6 @@ that learns nothing ignores most of the task, and what it does not see does not 
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from telewide.benchmark.damages import Damage, damaged_view
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.spaces import match_features
-from telewide.errors import UsageError
+from telewide.errors import unknown_name
 from telewide.geometry.arrays import ByteImage, FloatMap
 from telewide.matching.filling import fill_rows
 from telewide.matching.methods import Method
@@ -192,9 +191,7 @@ def find_systems(names: Sequence[str]) -> list[System]:
     """
     for name in names:
         if name not in SYSTEMS:
-            nearest = difflib.get_close_matches(name, SYSTEMS, n=1)
-            hint = f"did you mean {nearest[0]}?" if nearest else None
-            raise UsageError(f"unknown system {name!r}; known: {', '.join(SYSTEMS)}", hint=hint)
+            raise unknown_name("system", name, SYSTEMS)
     return [SYSTEMS[name] for name in names]
 
 

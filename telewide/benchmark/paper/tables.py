@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError, unknown_name
 from telewide.files import read_yaml
 from telewide.options import Options, parse_options
 
@@ -123,9 +122,7 @@ def find_table(name: str) -> Table:
     """
     tables = load_tables()
     if name not in tables:
-        nearest = difflib.get_close_matches(name, tables, n=1)
-        hint = f"did you mean {nearest[0]}?" if nearest else None
-        raise UsageError(f"unknown table {name!r}; known: {', '.join(tables)}", hint=hint)
+        raise unknown_name("table", name, tables)
     return tables[name]
 
 
