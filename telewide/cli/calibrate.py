@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,10 +17,9 @@ from telewide.ranges import MAX_SEED
 from telewide.text import command_line
 
 if TYPE_CHECKING:
-    from telewide.calibration.quality import CalibrationQuality
-    from telewide.calibration.rig_file import StoredRig
     from telewide.cli.progress import ConsoleObserver
     from telewide.stages.calibrate_scenes import SceneOptions
+    from telewide.stages.rig_run import CalibrationRun
 
 PhotosArgument = Annotated[
     Path | None,
@@ -79,26 +78,14 @@ def calibrate(
         _calibrate_scenes(photos, stated, as_json=as_json, quiet=quiet)
         return
     _refuse_options_of_scenes({"--baseline-m": baseline_m, "--wide-side": wide_side, "--f35": f35})
-    from telewide.calibration.rig_file import stored_rig
-    from telewide.stages.calibrate import (
-        BOARDS_FOLDER,
-        CalibrateOptions,
-        calibrate_boards,
-        calibrate_call,
-        training_call,
-    )
+    from telewide.stages.calibrate import CalibrateOptions, calibrate_boards, calibrate_call, training_call
+    from telewide.stages.rig_run import BOARDS_FOLDER
 
     options, boards = CalibrateOptions(board=board, square_m=square_m, out=out, seed=seed), photos or BOARDS_FOLDER
     with console_observer(is_quiet=quiet) as observer:
         done = calibrate_boards(boards, options=options, observer=observer)
-        stored = stored_rig(done.calibration, facts=done.facts)
-        _say(stored, done.notes, observer)
-        observer.said(f"rig: {done.rig}")
-        observer.said(f"report: {done.report}")
-        _say_next(stored, training_call(boards, out), observer)
-    answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(stored, done.notes)}
-    again = f"Then again: {calibrate_call(boards, options).again()}"
-    _hand_over(stored.quality, answer, again=again, as_json=as_json)
+        _say(done, observer, next_step=training_call(boards, out))
+    _hand_over(done, again=f"Then again: {calibrate_call(boards, options).again()}", as_json=as_json)
 
 
 def _check_out(out: Path) -> None:
@@ -133,22 +120,18 @@ def _scene_options(
 
 
 def _calibrate_scenes(photos: Path | None, options: SceneOptions, *, as_json: bool, quiet: bool) -> None:
-    from telewide.stages.calibrate import BOARDS_FOLDER, CAPTURES_FOLDER, stated_rig
     from telewide.stages.calibrate_scenes import calibrate_scenes, scenes_call
+    from telewide.stages.rig_run import BOARDS_FOLDER, CAPTURES_FOLDER, stated_rig
 
     captures, rig = photos or CAPTURES_FOLDER, stated_rig(options.out)
     with console_observer(is_quiet=quiet) as observer:
         done = calibrate_scenes(captures, options=options, observer=observer)
-        _say(done.stored, done.notes, observer)
-        observer.said(f"rig: {done.rig}")
-        observer.said(f"report: {done.report}")
-        _say_next(done.stored, command_line("train", captures, rig=rig), observer)
-    answer = {"rig": str(done.rig), "report": str(done.report), **_json_of(done.stored, done.notes)}
+        _say(done, observer, next_step=command_line("train", captures, rig=rig))
     again = (
         f"After more captures: {scenes_call(captures, options).again()}\n"
         f"  After photos of a board: {command_line('calibrate', BOARDS_FOLDER, out=rig)}"
     )
-    _hand_over(done.stored.quality, answer, again=again, as_json=as_json)
+    _hand_over(done, again=again, as_json=as_json)
 
 
 def _parsed_f35(text: str | None) -> tuple[float, float] | None:
@@ -163,53 +146,55 @@ def _parsed_f35(text: str | None) -> tuple[float, float] | None:
     return tele_mm, wide_mm
 
 
-def _say(stored: StoredRig, notes: Sequence[str], observer: ConsoleObserver) -> None:
+def _say(done: CalibrationRun, observer: ConsoleObserver, *, next_step: str) -> None:
     from telewide.pages.rig_text import summary_line
 
     observer.close()
-    for note in notes:
+    stored = done.stored
+    for note in done.notes:
         observer.warned(f"note: {note}")
     for check in stored.quality.checks:
         if check.status != "pass":
             observer.warned(f"{check.status}: {check.name}: {check.advice}")
     std_m = stored.transform_std.baseline_m if stored.transform_std is not None else None
     observer.said(summary_line(stored.rig, stored.quality, baseline_std_m=std_m))
-
-
-def _say_next(stored: StoredRig, command: str, observer: ConsoleObserver) -> None:
+    observer.said(f"rig: {done.rig}")
+    observer.said(f"report: {done.report}")
     if stored.quality.verdict != "insufficient":
-        observer.said(f"next: {command}")
+        observer.said(f"next: {next_step}")
 
 
-def _hand_over(quality: CalibrationQuality, answer: dict[str, object], *, again: str, as_json: bool) -> None:
+def _hand_over(done: CalibrationRun, *, again: str, as_json: bool) -> None:
     """Answer in JSON where asked, and leave with code 4 where the rig is not good enough."""
     failure: QualityError | None = None
+    quality = done.stored.quality
     if quality.verdict == "insufficient":
         advice = " ".join(check.advice for check in quality.checks if check.status == "fail")
         failure = QualityError(
-            f"{answer['rig']} was written, and marked as not good enough to compute depth with",
-            hint=f"{advice} {again}",
+            f"{done.rig} was written, and marked as not good enough to compute depth with", hint=f"{advice} {again}"
         )
-    hand_over(answer, failure=failure, as_json=as_json)
+    hand_over(_json_of(done), failure=failure, as_json=as_json)
 
 
-def _json_of(stored: StoredRig, notes: Sequence[str]) -> dict[str, object]:
-    rig, quality, std = stored.rig, stored.quality, stored.transform_std
+def _json_of(done: CalibrationRun) -> dict[str, object]:
+    rig, quality, std = done.stored.rig, done.stored.quality, done.stored.transform_std
     figures = {
         field.name: getattr(quality, field.name)
         for field in dataclasses.fields(quality)
         if field.name not in ("checks", "verdict")
     }
     return {
+        "rig": str(done.rig),
+        "report": str(done.report),
         "verdict": quality.verdict,
-        "source": stored.facts.source,
-        "board": stored.facts.board,
-        "scale_verified": stored.facts.scale_verified,
+        "source": done.stored.facts.source,
+        "board": done.stored.facts.board,
+        "scale_verified": done.stored.facts.scale_verified,
         "baseline_m": rig.baseline_m if rig.is_scale_known else None,
         "baseline_std_m": std.baseline_m if std is not None and rig.is_scale_known else None,
         "asymmetry": rig.asymmetry,
         **figures,
         "checks": [dataclasses.asdict(check) for check in quality.checks],
-        "left_out": list(stored.left_out),
-        "notes": list(notes),
+        "left_out": list(done.stored.left_out),
+        "notes": list(done.notes),
     }

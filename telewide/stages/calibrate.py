@@ -13,7 +13,6 @@ import statistics
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 from telewide.boards.board import Board, board_points_m, load_board, resized_board
@@ -22,22 +21,25 @@ from telewide.boards.recognition import recognise_board
 from telewide.boards.shots import BoardShot, detect_shots, find_board_shots
 from telewide.calibration.exchanged_lenses import refuse_exchanged
 from telewide.calibration.result import Calibration
-from telewide.calibration.rig_file import RIG_FILE, RigFacts, write_rig
+from telewide.calibration.rig_file import RIG_FILE, RigFacts, stored_rig, write_stored_rig
 from telewide.calibration.solver import calibrate_rig
 from telewide.capture.exif import UPRIGHT_DEG, common_pipeline, read_photo_facts
-from telewide.capture.images import read_image
-from telewide.correction.rectify import rectify_pair
+from telewide.capture.pair import Capture, read_photos
 from telewide.errors import InputError, TelewideError
-from telewide.geometry.arrays import FloatMap
 from telewide.pages.board_rig import board_rig_page
 from telewide.pages.report import NextStep
 from telewide.pages.rig_page import write_rig_page
 from telewide.stages.observer import Observer
+from telewide.stages.rig_run import (
+    CAPTURES_FOLDER,
+    CalibrationRun,
+    RectifiedPreview,
+    rectified_preview,
+    report_facts,
+    report_path,
+    stated_rig,
+)
 from telewide.text import Invocation, command_line, counted
-
-BOARDS_FOLDER = Path("boards")
-CAPTURES_FOLDER = Path("captures")
-_PREVIEW_WIDTH_PX = 1000
 
 
 @dataclass(frozen=True)
@@ -57,25 +59,6 @@ class CalibrateOptions:
     out: Path = RIG_FILE
     seed: int = 0
     processes: int | None = None
-
-
-@dataclass(frozen=True)
-class CalibrationRun:
-    """A calibration and where it was written.
-
-    Attributes:
-        calibration: the rig and all that is known about it.
-        rig: path of ``rig.yaml``.
-        report: path of the page about it.
-        facts: how it was made.
-        notes: what a person should know, one sentence each.
-    """
-
-    calibration: Calibration
-    rig: Path
-    report: Path
-    facts: RigFacts
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -130,11 +113,10 @@ def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Obser
         InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
     """
     solved = calibrate_shots(boards, options=options, observer=observer)
-    write_rig(options.out, solved.calibration, facts=solved.facts)
+    stored = stored_rig(solved.calibration, facts=solved.facts)
+    write_stored_rig(options.out, stored)
     report = _write_report(boards, solved, options=options)
-    return CalibrationRun(
-        calibration=solved.calibration, rig=options.out, report=report, facts=solved.facts, notes=solved.notes
-    )
+    return CalibrationRun(stored, options.out, report, solved.notes)
 
 
 def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observer) -> SolvedBoards:
@@ -226,29 +208,21 @@ def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observe
 
 def _write_report(boards: Path, solved: SolvedBoards, *, options: CalibrateOptions) -> Path:
     calibration, chosen = solved.calibration, solved.board
-    path = options.out.with_name(f"{options.out.stem}_report.html")
     square = "measured" if chosen.is_measured else "nominal, not measured"
     facts = {
         "board": f"{chosen.name}, squares of {chosen.board.square_m * 1e3:g} mm ({square})",
         "photos": str(boards),
-        "rig": options.out.name,
-        "telewide": metadata.version("telewide"),
     }
     rectified = _rectified_shot(solved.shots, calibration)
     steps = _next_steps(boards, calibration, options)
-    page = board_rig_page(calibration, facts=facts, next_steps=steps, rectified=rectified)
-    return write_rig_page(path, page)
+    page = board_rig_page(calibration, facts=report_facts(options.out, facts), next_steps=steps, rectified=rectified)
+    return write_rig_page(report_path(options.out), page)
 
 
 def calibrate_call(boards: Path, options: CalibrateOptions) -> Invocation:
     """The call that makes this rig from these photos, for the calls advised after it."""
     stated = {"board": options.board, "square_m": options.square_m, "seed": options.seed or None}
     return Invocation("calibrate", (boards,), {**stated, "out": stated_rig(options.out)})
-
-
-def stated_rig(rig: Path) -> Path | None:
-    """The rig as an option has to name it: None where it is found without."""
-    return None if rig == RIG_FILE else rig
 
 
 def training_call(boards: Path, rig: Path) -> str:
@@ -271,7 +245,7 @@ def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOption
     return tuple(steps)
 
 
-def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> tuple[str, FloatMap, FloatMap] | None:
+def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> RectifiedPreview | None:
     """The joint shot whose board is at the middle distance, rectified; None where there is none."""
     used = {(view.shot, view.camera): view for view in calibration.views if view.is_used}
     by_name = {shot.name: shot for shot in shots if not (shot.tele_turn_deg or shot.wide_turn_deg)}
@@ -283,16 +257,10 @@ def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> tup
     if shot.tele_path is None or shot.wide_path is None:
         return None
     try:
-        rectified = rectify_pair(
-            read_image(shot.tele_path),
-            read_image(shot.wide_path),
-            rig=calibration.rig,
-            name=shot.name,
-            working_width_px=_PREVIEW_WIDTH_PX,
-        )
-    except TelewideError:  # an insufficient rig may be one that cannot be rectified; its report is needed all the more
+        photos = read_photos(Capture(shot.name, shot.tele_path, shot.wide_path))
+    except TelewideError:
         return None
-    return shot.name, rectified.pair.tele, rectified.pair.wide
+    return rectified_preview(photos, rig=calibration.rig)
 
 
 def _finite(value: float) -> float:

@@ -14,7 +14,6 @@ import statistics
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +31,11 @@ from telewide.calibration.scene_quality import (
 from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, Side
 from telewide.calibration.scene_solver import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
 from telewide.capture.exif import PhotoFacts, common_pipeline, read_photo_facts
-from telewide.capture.images import read_image
 from telewide.capture.lenses import with_checked_lenses
-from telewide.capture.pair import Capture, Problem, find_captures
-from telewide.correction.rectify import rectify_pair
+from telewide.capture.pair import Capture, PhotoPair, Problem, find_captures, read_photos
 from telewide.correction.refinement import fit_shot, refined_rig
-from telewide.errors import InputError, TelewideError, UsageError
-from telewide.geometry.arrays import FloatArray, FloatMap
+from telewide.errors import InputError, UsageError
+from telewide.geometry.arrays import FloatArray
 from telewide.geometry.camera import focal_px_from_f35
 from telewide.geometry.rig import Camera
 from telewide.pages.report import NextStep
@@ -46,13 +43,18 @@ from telewide.pages.rig_page import write_rig_page
 from telewide.pages.scenes_rig import SceneView, scenes_rig_page
 from telewide.points.matches import Matches
 from telewide.points.photo_matches import find_photo_matches
-from telewide.stages.calibrate import stated_rig
 from telewide.stages.observer import Observer
+from telewide.stages.rig_run import (
+    CalibrationRun,
+    RectifiedPreview,
+    rectified_preview,
+    report_facts,
+    report_path,
+    stated_rig,
+)
 from telewide.text import Invocation, command_line, counted
 
 Hw = tuple[int, int]
-
-_PREVIEW_WIDTH_PX = 1000
 
 
 @dataclass(frozen=True)
@@ -72,23 +74,6 @@ class SceneOptions:
     f35_mm: tuple[float, float] | None = None
     out: Path = RIG_FILE
     seed: int = 0
-
-
-@dataclass(frozen=True)
-class SceneRun:
-    """A rig from scenes and where it was written.
-
-    Attributes:
-        stored: the rig with its quality.
-        rig: path of ``rig.yaml``.
-        report: path of the page about it.
-        notes: what a person should know, one sentence each.
-    """
-
-    stored: StoredRig
-    rig: Path
-    report: Path
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -114,6 +99,7 @@ class _Matched:
         sizes: of tele's and of wide's photos.
         orientations: their EXIF orientations.
         notes: on captures that are not used.
+        shown: number and photos of the capture with the most matches, for the page.
     """
 
     captures: tuple[Capture, ...]
@@ -121,6 +107,7 @@ class _Matched:
     sizes: tuple[Hw, Hw]
     orientations: tuple[int, int]
     notes: tuple[str, ...]
+    shown: tuple[int, PhotoPair] | None
 
     @property
     def telling(self) -> tuple[int, ...]:
@@ -128,7 +115,7 @@ class _Matched:
         return tuple(n for n, matches in enumerate(self.scenes) if len(matches) >= MIN_SCENE_MATCHES)
 
 
-def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observer) -> SceneRun:
+def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observer) -> CalibrationRun:
     """Find a rig from captures of ordinary scenes, and write it and a page about it.
 
     Args:
@@ -167,7 +154,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observe
     stored = _stored(evidence.whole, quality=judge_scenes(evidence), facts=facts)
     write_stored_rig(options.out, stored)
     report = _write_report(captures, matched, evidence, stored=stored, options=options)
-    return SceneRun(stored, options.out, report, (*evidence.whole.notes, *problems, *matched.notes))
+    return CalibrationRun(stored, options.out, report, (*evidence.whole.notes, *problems, *matched.notes))
 
 
 def _spoken(problem: Problem) -> str:
@@ -195,22 +182,33 @@ def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick
     common = most.sizes
     rig = first_rig(tele_hw=common[0], wide_hw=common[1], focal=_focal_prior(focal_mm, common))
     alike, scenes, notes = [], [], []
+    shown: tuple[int, PhotoPair] | None = None
     for capture in captures:
         try:
             if kinds.get(capture.name, most) != most:
                 notes.append(f"left out: {capture.name}: photos of another size or held otherwise")
                 continue
-            scene = find_photo_matches(read_image(capture.tele_path), read_image(capture.wide_path), rig=rig)
+            photos = read_photos(capture)
+            scene = find_photo_matches(photos.tele, photos.wide, rig=rig)
         except (InputError, UsageError) as error:
             notes.append(f"left out: {capture.name}: {error.message}")
             continue
         finally:
             tick()
+        if shown is None or len(scene) > len(scenes[shown[0]]):
+            shown = len(scenes), photos
         alike.append(capture)
         scenes.append(scene)
         if len(scene) < MIN_SCENE_MATCHES:
             notes.append(f"{capture.name}: {len(scene)} matches, too few for a say")
-    return _Matched(tuple(alike), tuple(scenes), common, orientations=most.orientations, notes=tuple(notes))
+    return _Matched(
+        tuple(alike),
+        tuple(scenes),
+        sizes=common,
+        orientations=most.orientations,
+        notes=tuple(notes),
+        shown=shown,
+    )
 
 
 def _kind(capture: Capture) -> _Kind | None:
@@ -301,22 +299,19 @@ def _distortion_std(camera: Camera, std: SceneStd, lens: int) -> FloatArray:
 def _write_report(
     folder: Path, matched: _Matched, evidence: SceneEvidence, *, stored: StoredRig, options: SceneOptions
 ) -> Path:
-    path = options.out.with_name(f"{options.out.stem}_report.html")
     facts = {
         "captures": str(folder),
         "focal lengths": "EXIF" if options.f35_mm is None else "stated, {:g} and {:g} mm".format(*options.f35_mm),
-        "rig": options.out.name,
-        "telewide": metadata.version("telewide"),
     }
     page = scenes_rig_page(
         evidence.whole,
         quality=stored.quality,
         views=_views(matched, evidence),
-        facts=facts,
+        facts=report_facts(options.out, facts),
         next_steps=_next_steps(folder, stored, options=options, evidence=evidence),
         rectified=_rectified_capture(matched, evidence.whole),
     )
-    return write_rig_page(path, page)
+    return write_rig_page(report_path(options.out), page)
 
 
 def _views(matched: _Matched, evidence: SceneEvidence) -> tuple[SceneView, ...]:
@@ -374,18 +369,9 @@ def _next_steps(
     return tuple(steps)
 
 
-def _rectified_capture(matched: _Matched, whole: SceneRig) -> tuple[str, FloatMap, FloatMap] | None:
+def _rectified_capture(matched: _Matched, whole: SceneRig) -> RectifiedPreview | None:
     """The capture with the most matches, rectified; None where the rig cannot."""
-    number = max(range(len(matched.scenes)), key=lambda n: len(matched.scenes[n]))
-    capture = matched.captures[number]
-    try:
-        rectified = rectify_pair(
-            read_image(capture.tele_path),
-            read_image(capture.wide_path),
-            rig=refined_rig(whole.rig, fit_shot(matched.scenes[number], rig=whole.rig)),
-            name=capture.name,
-            working_width_px=_PREVIEW_WIDTH_PX,
-        )
-    except TelewideError:  # an insufficient rig may be one that cannot be rectified; its report is needed all the more
+    if matched.shown is None:
         return None
-    return capture.name, rectified.pair.tele, rectified.pair.wide
+    number, photos = matched.shown
+    return rectified_preview(photos, rig=refined_rig(whole.rig, fit_shot(matched.scenes[number], rig=whole.rig)))

@@ -17,7 +17,8 @@ from telewide.calibration.rig_file import RIG_FILE, read_rig
 from telewide.capture.images import read_image, write_image
 from telewide.cli import main
 from telewide.errors import InputError, UsageError
-from telewide.stages.calibrate import CalibrateOptions, CalibrationRun, calibrate_boards, calibrate_call, training_call
+from telewide.stages.calibrate import CalibrateOptions, calibrate_boards, calibrate_call, training_call
+from telewide.stages.rig_run import CalibrationRun
 
 N_SHOTS = 12
 BOARD = "chessboard_9x6"
@@ -73,23 +74,23 @@ def first_shots(boards: Path, folder: Path, *, count: int) -> Path:
 
 
 def test_the_rig_is_the_one_that_took_the_photos(done: CalibrationRun) -> None:
-    truth, rig = drawn_rig(), done.calibration.rig
+    truth, rig = drawn_rig(), done.stored.rig
     assert rig.tele.hw == truth.tele.hw
     assert rig.wide.hw == truth.wide.hw
     assert rig.asymmetry == pytest.approx(truth.asymmetry, rel=0.001)
     assert rig.baseline_m == pytest.approx(2 * truth.baseline_m, rel=0.01)
     assert rig.tele.f_px == pytest.approx(truth.tele.f_px, rel=0.003)
-    assert done.calibration.quality.tele_rms_px < 0.1
-    assert done.calibration.quality.verdict in ("good", "usable")
+    assert done.stored.quality.tele_rms_px < 0.1
+    assert done.stored.quality.verdict in ("good", "usable")
 
 
 def test_the_file_holds_the_rig_and_how_it_was_made(done: CalibrationRun) -> None:
     stored = read_rig(done.rig)
-    np.testing.assert_array_equal(stored.rig.wide_from_tele, done.calibration.rig.wide_from_tele)
+    np.testing.assert_array_equal(stored.rig.wide_from_tele, done.stored.rig.wide_from_tele)
     assert stored.facts.board in (BOARD, f"{BOARD}_a3")  # the same pattern in two sizes
     assert stored.facts.scale_verified
     assert stored.facts.image_pipeline == "png:unknown"
-    assert stored.quality.verdict == done.calibration.quality.verdict
+    assert stored.quality.verdict == done.stored.quality.verdict
 
 
 def test_the_page_shows_every_shot_and_a_rectified_pair(done: CalibrationRun) -> None:
@@ -111,9 +112,9 @@ def test_without_a_measured_square_metres_are_nominal_and_said_to_be(boards: Pat
     few = first_shots(boards, tmp_path / "boards", count=6)
     options = CalibrateOptions(board=BOARD, out=tmp_path / "rig.yaml", processes=1)
     run = calibrate_boards(few, options=options, observer=Listener())
-    assert not run.facts.scale_verified
+    assert not run.stored.facts.scale_verified
     assert any("25 mm" in note and "--square-m" in note for note in run.notes)
-    assert run.calibration.rig.baseline_m == pytest.approx(drawn_rig().baseline_m, rel=0.02)
+    assert run.stored.rig.baseline_m == pytest.approx(drawn_rig().baseline_m, rel=0.02)
     assert not read_rig(run.rig).facts.scale_verified
     assert "--square-m" in run.report.read_text(encoding="utf-8")
 
@@ -143,9 +144,9 @@ def test_shots_of_which_half_are_turned_by_their_exif_give_the_same_rig(boards: 
                 to.parent.mkdir(parents=True, exist_ok=True)
                 Image.open(path).save(to, exif=exif, quality=95)
         options = CalibrateOptions(board=BOARD, out=tmp_path / f"{name}.yaml", processes=1)
-        rigs.append(calibrate_boards(tmp_path / name, options=options, observer=Listener()).calibration)
+        rigs.append(calibrate_boards(tmp_path / name, options=options, observer=Listener()).stored)
     upright, half = rigs
-    assert all(view.is_used for view in half.views)
+    assert half.left_out == ()
     assert half.rig.tele.hw == upright.rig.tele.hw
     assert half.rig.baseline_m == pytest.approx(upright.rig.baseline_m, rel=0.01)
     assert half.rig.tele.f_px == pytest.approx(upright.rig.tele.f_px, rel=1e-3)
@@ -258,7 +259,7 @@ def test_too_few_photos_are_written_and_refused(
 def test_show_says_the_numbers_and_json_is_the_file(done: CalibrationRun, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_cli("show", str(done.rig)) == 0
     told = capsys.readouterr().out
-    rig = done.calibration.rig
+    rig = done.stored.rig
     for words in (f"{rig.tele.f_px:.1f}", f"{rig.wide.f_px:.1f}", f"{rig.baseline_m * 1e3:.2f}", "640 x 480", BOARD):
         assert words in told
     assert run_cli("show", str(done.rig), "--json") == 0
