@@ -14,6 +14,8 @@ MINIMA_TESTS := test_plain test_options test_npz test_files geometry/test_rig ge
 #                                                                      the 21 scenes of a third of the size
 #   $(DATA)/p30/                                                       captures of a phone, in any layout of the README
 DATA   := $(or $(TELEWIDE_DATA),../shared/data)
+# Two processes, one thread each; the tests of a file stay together, since they share what they set up.
+PARALLEL := -n 2 --dist loadfile
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
 
 .PHONY: setup demo box test test-slow test-minima mutants soak lint bench clean
@@ -31,14 +33,15 @@ demo: $(STAMP)
 	$(BIN)/telewide run examples/phone/captures --rig demo/rig.yaml --recipe quick --out demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(PYTEST_ARGS)
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 
 # Old releases warn of what newer ones of others have deprecated: only here are warnings no errors.
 test-minima: $(MINIMA)/.installed
-	$(MINIMA)/bin/python -m pytest -m "not slow" -o filterwarnings= $(MINIMA_TESTS:%=tests/%.py) $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 $(MINIMA)/bin/python -m pytest -m "not slow" -o filterwarnings= $(PARALLEL) $(MINIMA_TESTS:%=tests/%.py) \
+		$(PYTEST_ARGS)
 
 $(MINIMA)/.installed: pyproject.toml constraints.txt .ci/minima
 	test -x $(MINIMA)/bin/python || $(PYTHON) -m venv $(MINIMA)

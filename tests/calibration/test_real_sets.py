@@ -51,6 +51,7 @@ def test_opencv_sample_is_solved_as_well_as_by_opencv(opencv: Calibration, data_
     assert opencv.quality.verdict != "insufficient"
 
 
+@pytest.mark.slow
 def test_photos_of_a_stereo_webcam(data_root: Path) -> None:
     found = calibrate_rig(detected(data_root / "calib_stereo_photos"), board_points_m=board_points_m(BOARD))
     assert stereo_rms_px(found) <= 0.26
@@ -65,6 +66,7 @@ def halved(path: Path, to: Path) -> Path:
     return to
 
 
+@pytest.mark.slow
 def test_one_camera_at_half_its_size(opencv: Calibration, data_root: Path, tmp_path: Path) -> None:
     """The focal ratio is told, and the boards stand where the undamaged set puts them."""
     folder = data_root / "calib_stereo_opencv"

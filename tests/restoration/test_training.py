@@ -90,7 +90,7 @@ def tiny(name: str) -> Rcan | Dan:
     return Dan(2, kernel_components(KERNEL_RANGES["isotropic"], length=10), channels=16, blocks=1)
 
 
-@pytest.mark.parametrize("name", ["rcan", "dan-isotropic"])
+@pytest.mark.parametrize("name", ["rcan", pytest.param("dan-isotropic", marks=pytest.mark.slow)])
 def test_training_lowers_the_loss(name: str) -> None:
     network, kernels = tiny(name), RESTORERS[name].kernels
     source = CropSource([picture(), picture(1)], factor=2, kernels=kernels, small_px=12, count=4)
