@@ -4,13 +4,11 @@
     tele/<shot>.*           wide/<shot>.*           a folder per lens
     tele_close/<photo>.*    wide_close/<photo>.*    photos of one lens alone
 
-Letter case does not matter, hidden files are not looked at. Of a RAW photo and its JPEG the RAW is taken, if the other
-lens has one too.
+Which file of several is taken: `telewide.capture.view_files`.
 """
 
 from __future__ import annotations
 
-import unicodedata
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -21,19 +19,21 @@ from telewide.boards.detection import BoardView
 from telewide.boards.orientation import alike_numbered, turned_view
 from telewide.boards.pattern import aruco_dictionary
 from telewide.boards.photo_detection import PhotoResult, detect_photos
-from telewide.capture.formats import (
-    HEIF_SUFFIXES,
-    JPEG_SUFFIXES,
-    PHOTO_SUFFIXES,
-    RAW_SUFFIXES,
-    READ_KINDS,
-    UNREAD_SUFFIXES,
+from telewide.capture.formats import READ_KINDS
+from telewide.capture.view_files import (
+    VIEWS,
+    best_photos,
+    is_picture,
+    is_same_file,
+    joined_by_case,
+    listed,
+    one_spelling,
+    passed_over,
+    visible_entries,
 )
-from telewide.capture.layout import VIEWS, is_same_file, joined_by_case
 from telewide.errors import InputError, UsageError
 
 _CLOSE_UPS = {"tele_close": "tele", "wide_close": "wide"}
-_LOSSY_SUFFIXES = JPEG_SUFFIXES | {".webp"}
 _MAX_LISTED = 5
 _LAYOUTS = "<shot>/tele.* with <shot>/wide.*, or tele/<shot>.* with wide/<shot>.*; tele_close/ and wide_close/ alone"
 
@@ -98,14 +98,13 @@ def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
         found = "is a file" if folder.exists() else "does not exist"
         raise UsageError(f"{folder} {found}; a folder with photos of a board was expected")
     candidates: _Candidates = defaultdict(lambda: defaultdict(list))
-    for entry in _visible(folder):
+    for entry in visible_entries(folder):
         if entry.is_dir():
             _add_folder(candidates, entry)
     shots = tuple(_shot(name, views) for name, views in sorted(joined_by_case(candidates).items()))
     if not shots:
-        names = [entry.name for entry in _visible(folder)]
-        more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
-        inside = f"it holds {', '.join(names[:_MAX_LISTED])}{more}" if names else "it is empty"
+        entries = visible_entries(folder)
+        inside = f"it holds {listed(entries)}" if entries else "it is empty"
         raise InputError(f"{folder} holds no photos of a board: {inside}", hint=f"expected {_LAYOUTS}")
     return shots
 
@@ -149,54 +148,29 @@ def detect_shots(
 
 def _add_folder(candidates: _Candidates, folder: Path) -> None:
     role = folder.name.casefold().replace("-", "_").replace(" ", "_")
-    for file in _visible(folder):
-        if file.suffix.lower() not in PHOTO_SUFFIXES | UNREAD_SUFFIXES or not file.is_file():
+    for file in visible_entries(folder):
+        if not is_picture(file):
             continue
-        stem = unicodedata.normalize("NFC", file.stem)
+        stem = one_spelling(file.stem)
         if role in _CLOSE_UPS:
             candidates[f"{role}/{stem}"][_CLOSE_UPS[role]].append(file)
         elif role in VIEWS:
             candidates[stem][role].append(file)
         elif stem.casefold() in VIEWS:
-            candidates[unicodedata.normalize("NFC", folder.name)][stem.casefold()].append(file)
-
-
-def _visible(folder: Path) -> list[Path]:
-    try:
-        entries = sorted(folder.iterdir())
-    except OSError as error:
-        raise InputError(f"{folder} cannot be opened: {error.strerror or error}") from error
-    return [entry for entry in entries if not entry.name.startswith((".", "__MACOSX"))]
+            candidates[one_spelling(folder.name)][stem.casefold()].append(file)
 
 
 def _shot(name: str, views: dict[str, list[Path]]) -> BoardShot:
-    are_all_raw = all(any(_is_raw(path) for path in paths) for paths in views.values())
-    chosen: dict[str, Path] = {}
-    notes = []
+    chosen, notes = best_photos(views), []
     for view, files in views.items():
-        paths = [path for path in files if path.suffix.lower() in PHOTO_SUFFIXES]
-        if not paths:
+        if view not in chosen:
             notes.append(f"{view}: {files[0]} cannot be read; {READ_KINDS} are read")
-            continue
-        chosen[view], *others = sorted(paths, key=lambda path: (_rank(path, is_raw_first=are_all_raw), str(path)))
-        # A RAW and its JPEG are one photo, nothing to speak of.
-        if others and any(path.stem != chosen[view].stem or path.parent != chosen[view].parent for path in others):
+        elif passed_over(chosen[view], files):
             notes.append(f"several files for {view}: {chosen[view]} is taken")
     if len(chosen) == 2 and is_same_file(chosen["tele"], chosen["wide"]):
         notes.append("tele and wide are the same picture; it is left out")
         chosen = {}
     return BoardShot(name, chosen.get("tele"), chosen.get("wide"), tuple(notes))
-
-
-def _rank(path: Path, *, is_raw_first: bool) -> int:
-    suffix = path.suffix.lower()
-    if suffix in RAW_SUFFIXES:
-        return 0 if is_raw_first else 4
-    return 3 if suffix in _LOSSY_SUFFIXES else 2 if suffix in HEIF_SUFFIXES else 1
-
-
-def _is_raw(path: Path) -> bool:
-    return path.suffix.lower() in RAW_SUFFIXES
 
 
 def _detected(shot: BoardShot, found: dict[str, PhotoResult], board: Board) -> DetectedShot:

@@ -22,9 +22,10 @@ from telewide.capture.damage import why_damaged
 from telewide.capture.exif import PhotoFacts, read_photo_facts
 from telewide.capture.facts import FACTS_FILE
 from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
-from telewide.capture.layout import TRUTH, VIEWS
+from telewide.capture.layout import TRUTH
 from telewide.capture.lens_choice import ChosenLenses, LensChoice
 from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
+from telewide.capture.view_files import VIEWS
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import replacing
 from telewide.folders import fresh_folder

@@ -1,6 +1,6 @@
 """Find the captures in a folder.
 
-Four layouts are recognised, also mixed in one folder; letter case does not matter, hidden files are not looked at::
+Four layouts are recognised, also mixed in one folder::
 
     <name>/tele.*           <name>/wide.*           a folder per capture
     <name>_tele.*           <name>_wide.*           also -T/-W, _3x/_1x
@@ -8,33 +8,37 @@ Four layouts are recognised, also mixed in one folder; letter case does not matt
     tele.*                  wide.*                  the given folder is one capture
 
 A true disparity map, where there is one, is ``<name>/truth.pfm``, ``<name>_truth.pfm`` or ``truth/<name>.pfm``.
-Of a RAW and its JPEG twin the RAW is taken, if both views have one.
+Which file of several is taken: `telewide.capture.view_files`.
 What is wrong with one capture is a `Problem` and leaves the others alone.
 """
 
 from __future__ import annotations
 
-import filecmp
 import re
-import unicodedata
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from telewide.assets import find_yaml
 from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
-from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES, READ_KINDS, UNREAD_SUFFIXES
-from telewide.errors import InputError, UsageError
-from telewide.ranges import MAX_FILE_BYTES
-
-# Of two files for one view the one that lost less is taken.
-_SUFFIX_ORDER = (
-    *(*sorted(RAW_SUFFIXES), ".tif", ".tiff", ".png"),
-    *(*sorted(HEIF_SUFFIXES), ".webp", ".jpg", ".jpeg", ".mpo"),
+from telewide.capture.formats import READ_KINDS, UNREAD_SUFFIXES
+from telewide.capture.view_files import (
+    VIEWS,
+    best_photos,
+    is_photo_name,
+    is_picture,
+    is_same_file,
+    joined_by_case,
+    listed,
+    one_spelling,
+    passed_over,
+    photos_among,
+    visible_entries,
 )
+from telewide.errors import InputError, UsageError
+
 _TRUTH_SUFFIX = ".pfm"
-VIEWS = ("tele", "wide")
 TRUTH = "truth"
 _UNREAD = "unread"
 _MAX_LISTED = 5
@@ -57,12 +61,15 @@ class Capture:
         tele_path: photo of the tele camera.
         wide_path: photo of the wide camera.
         truth_path: PFM with the true disparity of the reference view, if there is one.
+        valid_paths: of a rectified pair: pictures that are white where the tele and the wide photo reach; None where
+            the photos fill the views.
     """
 
     name: str
     tele_path: Path
     wide_path: Path
     truth_path: Path | None = None
+    valid_paths: tuple[Path, Path] | None = None
 
 
 @dataclass(frozen=True)
@@ -125,15 +132,15 @@ def find_captures(folder: Path) -> CaptureSet:
 
 def _candidates(folder: Path) -> _Candidates:
     found: _Candidates = defaultdict(lambda: defaultdict(list))
-    own_name = _normal(folder.resolve().name) or "capture"
-    for entry in _visible(folder):
+    own_name = one_spelling(folder.resolve().name) or "capture"
+    for entry in visible_entries(folder):
         role = entry.name.casefold()
         if entry.is_dir() and role in {*VIEWS, TRUTH} and not _has_both_views(entry):
             for file in _files(entry):
-                found[_normal(file.stem), "split"][_role_or_unread(file, role)].append(file)
+                found[one_spelling(file.stem), "split"][_role_or_unread(file, role)].append(file)
         elif entry.is_dir():
             _add_capture_folder(found, entry)
-        elif _is_picture(entry):
+        elif _is_of_interest(entry):
             _add_file(found, entry, own_name)
     return _joined_by_case(found)
 
@@ -148,41 +155,18 @@ def _joined_by_case(found: _Candidates) -> _Candidates:
     return joined
 
 
-def joined_by_case(groups: Mapping[str, Mapping[str, list[Path]]]) -> dict[str, dict[str, list[Path]]]:
-    """Join groups of files whose names differ by letter case alone, where each has what the others miss.
-
-    Args:
-        groups: by name: files by role, tele and wide among the roles.
-
-    Returns:
-        The groups; a joined one has the name of that with the tele photo.
-    """
-    by_fold: dict[str, list[str]] = defaultdict(list)
-    for name in sorted(groups):
-        by_fold[name.casefold()].append(name)
-    joined: dict[str, dict[str, list[Path]]] = {}
-    for names in by_fold.values():
-        roles = [role for name in names for role in groups[name]]
-        if len(set(roles)) < len(roles):
-            joined |= {name: dict(groups[name]) for name in names}
-        else:
-            named = next((name for name in names if "tele" in groups[name]), names[0])
-            joined[named] = {role: files for name in names for role, files in groups[name].items()}
-    return joined
-
-
 def _has_both_views(folder: Path) -> bool:
     """Whether a folder is one capture, whatever its name: of a photo that was called tele, for instance."""
     return {file.stem.casefold() for file in _files(folder)}.issuperset(VIEWS)
 
 
 def _add_capture_folder(found: _Candidates, folder: Path) -> None:
-    key, files = (_normal(folder.name), "folder"), _files(folder)
+    key, files = (one_spelling(folder.name), "folder"), _files(folder)
     for file in files:
         role = file.stem.casefold()
         if role in {*VIEWS, TRUTH}:
             found[key][_role_or_unread(file, role)].append(file)
-    if key not in found and any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
+    if key not in found and any(is_photo_name(file) for file in files):
         found[key]["unnamed"].extend(files)
     elif key not in found:
         unread = [file for file in files if _is_unread(file)]
@@ -191,7 +175,7 @@ def _add_capture_folder(found: _Candidates, folder: Path) -> None:
 
 
 def _add_file(found: _Candidates, file: Path, own_name: str) -> None:
-    stem = _normal(file.stem)
+    stem = one_spelling(file.stem)
     if stem.casefold() in {*VIEWS, TRUTH}:
         found[own_name, "folder"][_role_or_unread(file, stem.casefold())].append(file)
     elif match := _ROLE_SUFFIX.fullmatch(stem):
@@ -222,11 +206,11 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
         if "\n" in name:  # every message of it would look like several
             name, message = name.replace("\n", "\\n"), "its name holds a line break; rename it"
         if message is None and name in captures:
-            message = f"{_best_pair(roles)[0]} is not read: {captures[name].tele_path} has the same name"
+            message = f"{_pair(roles)[0]} is not read: {captures[name].tele_path} has the same name"
         if message is not None:
             problems.append(Problem(name, message))
             continue
-        tele, wide = _best_pair(roles)
+        tele, wide = _pair(roles)
         for view, taken in zip(VIEWS, (tele, wide), strict=True):
             problems += _ambiguities(name, view, taken, roles[view])
         captures[name] = Capture(name, tele, wide, _truth(roles))
@@ -237,67 +221,30 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
     if "unnamed" in roles:
         return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
     for view, other in (VIEWS, VIEWS[::-1]):
-        if not _photos(roles.get(view, [])):
+        if not photos_among(roles.get(view, [])):
             if roles.get(_UNREAD):
-                return f"{_listed(roles[_UNREAD])} cannot be read; {READ_KINDS} are read"
+                return f"{listed(roles[_UNREAD])} cannot be read; {READ_KINDS} are read"
             present = roles.get(other) or roles.get("truth") or []
-            return f"the {view} view is missing; found {_listed(present)}"
-    tele, wide = _best_pair(roles)
+            return f"the {view} view is missing; found {listed(present)}"
+    tele, wide = _pair(roles)
     if is_same_file(tele, wide):
         return f"{tele} and {wide} are the same picture; two different photos were expected"
     return None
 
 
-def _best_pair(roles: dict[str, list[Path]]) -> tuple[Path, Path]:
-    """Return the files that lost least; where there is a choice both RAW or neither, whose distortion differs."""
-    tele, wide = (_photos(roles[view]) for view in VIEWS)
-    if _is_raw(tele[0]) != _is_raw(wide[0]):
-        tele, wide = ([path for path in paths if not _is_raw(path)] or paths for paths in (tele, wide))
-    return tele[0], wide[0]
-
-
-def _photos(paths: Iterable[Path]) -> list[Path]:
-    """Return the photos among files, the best first."""
-    return sorted((path for path in paths if path.suffix.lower() in PHOTO_SUFFIXES), key=_rank)
-
-
-def _rank(path: Path) -> tuple[int, str]:
-    return _SUFFIX_ORDER.index(path.suffix.lower()), str(path)
-
-
-def _is_raw(path: Path) -> bool:
-    return path.suffix.lower() in RAW_SUFFIXES
-
-
 def _ambiguities(name: str, view: str, taken: Path, paths: Iterable[Path]) -> list[Problem]:
-    """Say which files are passed over; not of the twins that phones write, a RAW with a JPEG or HEIC."""
-    others = [
-        path
-        for path in _photos(paths)
-        if path != taken and (path.stem != taken.stem or _is_raw(path) == _is_raw(taken))
-    ]
-    told = f"two files for the {view} view: {taken} is taken, {_listed(others)} is not"
+    others = passed_over(taken, paths)
+    told = f"two files for the {view} view: {taken} is taken, {listed(others)} is not"
     return [Problem(name, told, is_skipped=False)] if others else []
+
+
+def _pair(roles: dict[str, list[Path]]) -> tuple[Path, Path]:
+    best = best_photos({view: roles[view] for view in VIEWS})
+    return best["tele"], best["wide"]
 
 
 def _truth(roles: dict[str, list[Path]]) -> Path | None:
     return next((path for path in roles.get("truth", ()) if path.suffix.lower() == _TRUTH_SUFFIX), None)
-
-
-def is_same_file(first: Path, second: Path) -> bool:
-    """Tell whether two paths lead to one file, or to two files with the same bytes; those too large to be read differ.
-
-    Args:
-        first: an existing file.
-        second: an existing file.
-    """
-    try:
-        if first.samefile(second):
-            return True
-        is_read = first.stat().st_size <= MAX_FILE_BYTES
-        return is_read and filecmp.cmp(first, second, shallow=False)
-    except OSError:  # one of them cannot be opened: reading it says so in its own words
-        return False
 
 
 def _facts_path(folder: Path, captures: list[Capture]) -> Path | None:
@@ -308,7 +255,7 @@ def _facts_path(folder: Path, captures: list[Capture]) -> Path | None:
 
 
 def _nothing_found(folder: Path, problems: list[Problem]) -> InputError:
-    entries = _visible(folder)
+    entries = visible_entries(folder)
     for entry in entries:
         if entry.is_dir() and _choose(_candidates(entry))[0]:
             return InputError(f"{folder} holds no captures, but {entry} does", hint=f"name {entry} instead")
@@ -317,34 +264,13 @@ def _nothing_found(folder: Path, problems: list[Problem]) -> InputError:
         told = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems[:_MAX_LISTED])
         more = f"\n  and {len(problems) - _MAX_LISTED} more" if len(problems) > _MAX_LISTED else ""
         return InputError(f"{folder} holds no capture that can be used:{told}{more}", hint=hint)
-    inside = f"it holds {_listed(entries)}" if entries else "it is empty"
+    inside = f"it holds {listed(entries)}" if entries else "it is empty"
     return InputError(f"{folder} holds no captures: {inside}", hint=hint)
 
 
-def _visible(folder: Path) -> list[Path]:
-    """Return the entries a person put there: no hidden files, nothing an archiver added."""
-    try:
-        entries = sorted(folder.iterdir())
-    except OSError as error:
-        raise InputError(f"{folder} cannot be opened: {error.strerror or error}") from error
-    return [entry for entry in entries if not entry.name.startswith((".", "__MACOSX"))]
-
-
 def _files(folder: Path) -> list[Path]:
-    return [entry for entry in _visible(folder) if _is_picture(entry)]
+    return [entry for entry in visible_entries(folder) if _is_of_interest(entry)]
 
 
-def _is_picture(path: Path) -> bool:
-    """Whether it is a photo, a film or a truth, of any kind that is known by name."""
-    return path.suffix.lower() in PHOTO_SUFFIXES | UNREAD_SUFFIXES | {_TRUTH_SUFFIX} and path.is_file()
-
-
-def _normal(name: str) -> str:
-    """Return one spelling for names that look the same: file systems disagree on composed letters."""
-    return unicodedata.normalize("NFC", name)
-
-
-def _listed(paths: Iterable[Path]) -> str:
-    names = [path.name for path in paths]
-    more = f" and {len(names) - _MAX_LISTED} more" if len(names) > _MAX_LISTED else ""
-    return ", ".join(names[:_MAX_LISTED]) + more
+def _is_of_interest(path: Path) -> bool:
+    return is_picture(path) or (path.suffix.lower() == _TRUTH_SUFFIX and path.is_file())
