@@ -228,7 +228,8 @@ def estimate_depth(
         raise QualityError(f"{photos.name}: {'; '.join(shot.report.reasons)}")
     matcher = read_matcher(Path(weights) if weights is not None else None, method=method, device=device)
     views = shot.corrected.pair
-    disparity = matcher.match(views.tele, views.wide, window=_window(shot, recipe, matcher))
+    window = _window(shot, recipe, matcher)
+    disparity = matcher.match(views.tele, views.wide, window=window, valid=views.valid)
     geometry = _geometry(shot, rig, matcher=matcher)
     facts = facts.model_copy(update={"wide_side": shot.wide_side})
     return depth_on_photo(disparity, photos.tele, name=photos.name, facts=facts, shot=geometry)[0]

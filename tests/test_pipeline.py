@@ -162,7 +162,7 @@ def test_depth_goes_onto_the_tele_photo_and_needs_no_other(simulated: Path, tmp_
         HeldOut(pair, np.zeros((0, 2)), np.zeros(0)),
         tmp_path / "depth",
         facts=CaptureFacts(),
-        match=lambda ref, src, *, window: matched,
+        match=lambda ref, src, *, window, valid: matched,
         window=(0, 32),
         bokeh=None,
         key={},

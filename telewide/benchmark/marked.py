@@ -147,7 +147,7 @@ class _Judge:
     def _written_map(self, item: PreparedPair, contender: Matcher, photo: FloatMap) -> FloatMap:
         """(H, W) disparity as ``telewide depth`` writes it, at the size of the marks."""
         pair = read_pair(item.capture)
-        working = contender.match(pair.tele, pair.wide, window=self.window)
+        working = contender.match(pair.tele, pair.wide, window=self.window, valid=pair.valid)
         shot = shot_geometry(item, self.prepared, matcher=contender)
         result, _, _ = depth_on_photo(working, photo, name=item.capture.name, facts=self.prepared.facts, shot=shot)
         return resize_disparity(result.disparity.disparity_px, wh=self.marks.photo_wh)

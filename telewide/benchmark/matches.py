@@ -112,7 +112,7 @@ def _suitable_rig(stated: Path | None, captures: CaptureSet, entrants: Sequence[
         raise UsageError(
             f"the captures in {captures.root} are rectified with a rig: without it no row of one photo is that of the "
             "other, and no match can be judged",
-            hint=f"leave --{UNCORRECTED} out",
+            hint=f"leave `{UNCORRECTED}` out",
         )
     return rig
 
@@ -133,7 +133,7 @@ def _unseen_captures(runs: Sequence[RunFolder]) -> frozenset[str]:
 
 def _errors_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, window: Window) -> FloatArray:
     pair = read_pair(item.capture) if entrant.is_corrected else _uncorrected(item, facts)
-    disparity = entrant.contender.match(pair.tele, pair.wide, window=window)
+    disparity = entrant.contender.match(pair.tele, pair.wide, window=window, valid=pair.valid)
     return match_errors_px(disparity.disparity_px, item.held_out)
 
 

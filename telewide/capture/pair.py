@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from telewide.capture.facts import CaptureFacts, read_facts
 from telewide.capture.images import read_image, read_pfm, resize_bicubic
 from telewide.capture.layout import Capture, CaptureSet, Problem, find_captures
 from telewide.errors import InputError
-from telewide.geometry.arrays import FloatImage
+from telewide.geometry.arrays import BoolMap, FloatImage
+from telewide.geometry.stereo import ValidMasks
 
 __all__ = [
     "Capture",
@@ -70,24 +72,28 @@ class RectifiedPair:
         name: of the capture.
         tele: (H, W, 3) RGB float32 in [0, 1].
         wide: (H, W, 3) RGB float32 in [0, 1], enlarged to tele's size.
+        valid: where the photos reach, ref is tele; None where they fill the views.
     """
 
     name: str
     tele: FloatImage
     wide: FloatImage
+    valid: ValidMasks | None = None
 
     @property
     def mirrored(self) -> RectifiedPair:
         """The pair with its left and right exchanged, and so the sign of its disparities."""
         tele, wide = (np.ascontiguousarray(view[:, ::-1]) for view in (self.tele, self.wide))
-        return RectifiedPair(self.name, tele, wide)
+        valid = self.valid and ValidMasks(self.valid.ref[:, ::-1], self.valid.src[:, ::-1])
+        return RectifiedPair(self.name, tele, wide, valid=valid)
 
 
-def read_photos(capture: Capture) -> PhotoPair:
+def read_photos(capture: Capture, *, read: Callable[[Path], FloatImage] = read_image) -> PhotoPair:
     """Read the two photos of a capture as they were taken.
 
     Args:
         capture: what to read.
+        read: decodes a photo, or has it already.
 
     Returns:
         The photos.
@@ -96,7 +102,7 @@ def read_photos(capture: Capture) -> PhotoPair:
         UsageError: a file does not exist.
         InputError: a file cannot be read, is too small, or both are the same picture.
     """
-    tele, wide = read_image(capture.tele_path), read_image(capture.wide_path)
+    tele, wide = read(capture.tele_path), read(capture.wide_path)
     _refuse_tiny(capture.tele_path, tele)
     _refuse_tiny(capture.wide_path, wide)
     if np.array_equal(tele, wide):
@@ -124,7 +130,8 @@ def read_pair(capture: Capture, *, facts: CaptureFacts | None = None) -> Rectifi
             the two sizes.
     """
     photos = read_photos(capture)
-    return pair_from_photos(photos, labels=(str(capture.tele_path), str(capture.wide_path)), facts=facts)
+    pair = pair_from_photos(photos, labels=(str(capture.tele_path), str(capture.wide_path)), facts=facts)
+    return pair if capture.valid_paths is None else replace(pair, valid=_read_masks(capture.valid_paths, pair))
 
 
 def pair_from_photos(
@@ -212,7 +219,19 @@ class PairReader:
 
 
 def _bytes_of(pair: RectifiedPair) -> int:
-    return pair.tele.nbytes + pair.wide.nbytes
+    masks = 0 if pair.valid is None else pair.valid.ref.nbytes + pair.valid.src.nbytes
+    return pair.tele.nbytes + pair.wide.nbytes + masks
+
+
+def _read_masks(paths: tuple[Path, Path], pair: RectifiedPair) -> ValidMasks:
+    return ValidMasks(*(_read_mask(path, hw=pair.tele.shape[:2]) for path in paths))
+
+
+def _read_mask(path: Path, *, hw: tuple[int, ...]) -> BoolMap:
+    mask = read_image(path)[..., 0] > 0.5
+    if mask.shape != hw:
+        raise InputError(f"{path} is {_size(mask.shape)}; the size of the pair, {_size(hw)}, was expected")
+    return mask
 
 
 def _refuse_tiny(path: Path, image: FloatImage) -> None:

@@ -16,6 +16,7 @@ from telewide.geometry.grids import dense_map
 from telewide.geometry.rectification import RectifiedGeometry, rectified_geometry, rig_at_sizes
 from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig
+from telewide.geometry.stereo import ValidMasks
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,7 @@ class Rectification:
     """A rectified pair, and what it takes to understand it.
 
     Attributes:
-        pair: the two views. Where a photo does not reach, its border is continued.
-        tele_valid: (H, W) bool, where the tele photo reaches.
-        wide_valid: (H, W) bool, where the wide photo reaches.
+        pair: the two views, with where the photos reach; beyond, their borders are continued.
         f_px: focal length of both views, px.
         doffs_px: ``cx_src - cx_ref``, px.
         baseline_m: distance of the lenses; None where the scale is not known.
@@ -33,8 +32,6 @@ class Rectification:
     """
 
     pair: RectifiedPair
-    tele_valid: BoolMap
-    wide_valid: BoolMap
     f_px: float
     doffs_px: float
     baseline_m: float | None
@@ -76,9 +73,7 @@ def rectify_pair(
     ref, tele_valid = _rectified(tele, geometry.tele_from_ref, camera=fitted.tele, geometry=geometry)
     src, wide_valid = _rectified(wide, geometry.wide_from_src, camera=fitted.wide, geometry=geometry)
     return Rectification(
-        pair=RectifiedPair(name, ref, src),
-        tele_valid=tele_valid,
-        wide_valid=wide_valid,
+        pair=RectifiedPair(name, ref, src, ValidMasks(tele_valid, wide_valid)),
         f_px=geometry.f_px,
         doffs_px=geometry.doffs_px,
         baseline_m=fitted.baseline_m if fitted.is_scale_known else None,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from telewide.geometry.arrays import FloatImage
+from telewide.geometry.arrays import BoolMap, FloatImage
 from telewide.points.matches import Matches
 
 MIN_MATCHES = 20
@@ -26,6 +26,7 @@ MIN_SLOPE_SPAN = 0.15
 """Share of the image's side that the middle 90 % of the matches must span before a slope along it is fitted."""
 _SOFT_PX = 0.3
 _LARGEST_SLOPE = 0.05
+_WHOLLY = 0.999  # of a resampled mask
 
 
 @dataclass(frozen=True)
@@ -148,6 +149,20 @@ def apply_vertical(src: FloatImage, fit: VerticalFit) -> FloatImage:
         borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(np.clip(moved, 0.0, 1.0), dtype=np.float32)
+
+
+def apply_vertical_to_mask(valid_src: BoolMap, fit: VerticalFit) -> BoolMap:
+    """Carry a mask of src into the view that :func:`apply_vertical` returns; what is mixed with the unknown is unknown.
+
+    Args:
+        valid_src: (H, W) bool.
+        fit: the fit applied to src.
+
+    Returns:
+        (H, W) bool.
+    """
+    moved = apply_vertical(valid_src.astype(np.float32), fit)
+    return np.asarray(moved > _WHOLLY)
 
 
 def corrected_matches(matches: Matches, fit: VerticalFit) -> Matches:

@@ -21,8 +21,15 @@ from telewide.correction.colour import (
     fit_colour,
     light_ratio,
 )
-from telewide.correction.rows import VerticalFit, apply_vertical, corrected_matches, fit_vertical
+from telewide.correction.rows import (
+    VerticalFit,
+    apply_vertical,
+    apply_vertical_to_mask,
+    corrected_matches,
+    fit_vertical,
+)
 from telewide.errors import InputError
+from telewide.geometry.stereo import ValidMasks
 from telewide.points.bandwidth import estimate_asymmetry
 from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.points.similarity import Overlap, find_overlap
@@ -177,8 +184,9 @@ def correct_pair(
     vertical = fit_vertical(fit_half if has_vertical else fit_half.select(np.arange(0)), hw=_hw(pair))
     fit_half, held_out = corrected_matches(fit_half, vertical), corrected_matches(held_out, vertical)
     wide = apply_vertical(pair.wide, vertical)
+    valid = pair.valid and ValidMasks(pair.valid.ref, apply_vertical_to_mask(pair.valid.src, vertical))
     colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)), held_out=held_out)
-    corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour))
+    corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour), valid=valid)
     return CorrectedPair(
         pair=corrected, vertical=vertical, colour=colour, matches_fit=fit_half, matches_held_out=held_out
     )

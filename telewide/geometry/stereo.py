@@ -30,6 +30,44 @@ class DisparityMap:
     valid: BoolMap
 
 
+@dataclass(frozen=True)
+class ValidMasks:
+    """Where rectified views show what their photos hold; elsewhere the border of a photo is continued.
+
+    Attributes:
+        ref: (H, W) bool.
+        src: (H, W) bool.
+    """
+
+    ref: BoolMap
+    src: BoolMap
+
+    def comparable(self, disparity_px: FloatMap) -> BoolMap:
+        """(H, W) bool, False for pixels of ref that no photo shows in one of the views, at the disparity each has.
+
+        What falls outside of src altogether is for the matcher to say.
+        """
+        width = disparity_px.shape[1]
+        x_src = np.round(np.arange(width) - np.nan_to_num(disparity_px, nan=np.inf, posinf=np.inf, neginf=-np.inf))
+        is_inside = (x_src >= 0) & (x_src <= width - 1)
+        partner = np.where(is_inside, x_src, 0).astype(np.intp)
+        return np.asarray(self.ref & (~is_inside | np.take_along_axis(self.src, partner, axis=1)))
+
+
+def without_unphotographed(found: DisparityMap, valid: ValidMasks | None) -> DisparityMap:
+    """Take confidence and validity from what was matched where a photo does not reach.
+
+    Args:
+        found: disparity of ref.
+        valid: of the views; None where the photos fill them.
+    """
+    if valid is None:
+        return found
+    comparable = valid.comparable(found.disparity_px)
+    confidence = np.where(comparable, found.confidence, np.float32(0))
+    return DisparityMap(found.disparity_px, confidence, found.valid & comparable)
+
+
 def resize_disparity(disparity_px: FloatMap, *, wh: tuple[int, int]) -> FloatMap:
     """Resize a disparity map, scaling its values with its width.
 

@@ -20,7 +20,7 @@ from torch.nn import functional
 
 from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotographed
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
 from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
 from telewide.matching.sampling import pad_to_multiple
@@ -74,20 +74,27 @@ def has_fast_bf16(device: torch.device) -> bool:
         return True
     if not (capability.get("avx512_bf16") or capability.get("arm_bf16")):
         return False
-    return _seconds_to_convolve(torch.bfloat16) * LEAST_BF16_GAIN < _seconds_to_convolve(torch.float32)
+    bf16_s, float32_s = _seconds_to_convolve(torch.bfloat16, torch.float32)
+    return bf16_s * LEAST_BF16_GAIN < float32_s
 
 
 @torch.inference_mode()
-def _seconds_to_convolve(dtype: torch.dtype) -> float:
-    """The least of some trials with a layer as the networks have them; the first warms up."""
-    x, weight = (torch.ones(shape, dtype=dtype) for shape in ((1, 48, 96, 96), (48, 48, 3, 3)))
-    x, weight = (tensor.contiguous(memory_format=torch.channels_last) for tensor in (x, weight))
-    seconds = []
-    for _ in range(6):
-        begun_s = time.perf_counter()
-        functional.conv2d(x, weight, padding=1)
-        seconds.append(time.perf_counter() - begun_s)
-    return min(seconds[1:])
+def _seconds_to_convolve(*dtypes: torch.dtype) -> list[float]:
+    """The least of some trials in each type, in turns, with a layer as the networks have them; the first warms up.
+
+    Time of the processor, not of the clock: what else the machine does must not decide how a result is rounded.
+    """
+    layers = []
+    for dtype in dtypes:
+        x, weight = (torch.ones(shape, dtype=dtype) for shape in ((1, 48, 96, 96), (48, 48, 3, 3)))
+        layers.append(tuple(tensor.contiguous(memory_format=torch.channels_last) for tensor in (x, weight)))
+    seconds: list[list[float]] = [[] for _ in dtypes]
+    for _ in range(8):
+        for (x, weight), trials in zip(layers, seconds, strict=True):
+            begun_s = time.process_time()
+            functional.conv2d(x, weight, padding=1)
+            trials.append(time.process_time() - begun_s)
+    return [min(trials[1:]) for trials in seconds]
 
 
 def match_with_network(
@@ -96,13 +103,16 @@ def match_with_network(
     *,
     network: StereoNetwork,
     window: Window,
+    valid: ValidMasks | None = None,
     max_tile_pixels: int = MAX_TILE_PIXELS,
 ) -> DisparityMap:
     """Match two views with a trained network, on the device its weights are on.
 
-    Arguments and errors as of :func:`match_with_volume`; only its map is returned.
+    Arguments and errors as of :func:`match_with_volume`, whose map is returned. Where a photo does not reach (`valid`;
+    None where they fill the views) the network knows it no better, so nothing there counts as measured.
     """
-    return match_with_volume(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)[0]
+    found = match_with_volume(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)[0]
+    return without_unphotographed(found, valid)
 
 
 @torch.inference_mode()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.filling import guided_mean
 from telewide.matching.semiglobal import Doubt, match_to_levels
 from telewide.matching.subpixel import refine_subpixel
@@ -31,7 +31,9 @@ _MOST_SURPRISE = 8.0  # the network's word against a plane counts no more than t
 _AGREEMENT_PX = 1.0
 
 
-def match_jointly(ref: FloatMap, src: FloatMap, *, network: StereoNetwork, window: Window) -> DisparityMap:
+def match_jointly(
+    ref: FloatMap, src: FloatMap, *, network: StereoNetwork, window: Window, valid: ValidMasks | None = None
+) -> DisparityMap:
     """Match two views by both.
 
     Args:
@@ -39,6 +41,7 @@ def match_jointly(ref: FloatMap, src: FloatMap, *, network: StereoNetwork, windo
         src: (H, W, 3) other view of the same size, in ref's colours.
         network: trained.
         window: disparities ``[d_min, d_max)``, px.
+        valid: where the photos reach; None where they fill the views.
 
     Returns:
         As of :func:`~telewide.matching.semiglobal.match_to_levels`.
@@ -50,7 +53,7 @@ def match_jointly(ref: FloatMap, src: FloatMap, *, network: StereoNetwork, windo
 
     of_network, surprise_Dhw = match_with_volume(ref, src, network=network, window=window)
     doubt = _doubt(surprise_Dhw, hw=(ref.shape[0], ref.shape[1]), window=window)
-    decided = match_to_levels(ref, src, window=window, doubt=doubt)
+    decided = match_to_levels(ref, src, window=window, doubt=doubt, valid=valid)
     gap_px = of_network.disparity_px - decided.disparity_px
     fraction_px = guided_mean(gap_px, ref, where=np.abs(gap_px) < _AGREEMENT_PX)
     disparity_px = refine_subpixel(ref, src, decided.disparity_px + fraction_px, confidence=decided.confidence)

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.window import Window
 
 
 class Match(Protocol):
     """Makes disparity of two views."""
 
-    def __call__(self, ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
-        """Match views (H, W, 3) in [0, 1] within a window, px; the disparity is ref's."""
+    def __call__(
+        self, ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None
+    ) -> DisparityMap:
+        """Match views (H, W, 3) in [0, 1] within a window, px, where both were photographed; the disparity is ref's."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.geometry.arrays import BoolMap, ByteImage, FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotographed
 from telewide.matching.filling import fill_rows, weighted_median
 from telewide.matching.subpixel import refine_subpixel
 
@@ -44,18 +44,25 @@ _AGREEMENT_BLOCK_PX = 9
 _MEASURED_CONFIDENCE = 0.25
 
 
-def match_semiglobal(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> DisparityMap:
+def match_semiglobal(
+    ref: FloatMap, src: FloatMap, *, window: tuple[int, int], valid: ValidMasks | None = None
+) -> DisparityMap:
     """Match two rectified views by semi-global matching, to a fraction of a pixel.
 
     Arguments, errors and the rest of the result as of :func:`match_to_levels`.
     """
-    found = match_to_levels(ref, src, window=window)
+    found = match_to_levels(ref, src, window=window, valid=valid)
     disparity_px = refine_subpixel(ref, src, found.disparity_px, confidence=found.confidence)
     return DisparityMap(disparity_px, found.confidence, found.valid)
 
 
 def match_to_levels(
-    ref: FloatMap, src: FloatMap, *, window: tuple[int, int], doubt: Doubt | None = None
+    ref: FloatMap,
+    src: FloatMap,
+    *,
+    window: tuple[int, int],
+    doubt: Doubt | None = None,
+    valid: ValidMasks | None = None,
 ) -> DisparityMap:
     """Match two rectified views to whole pixels, near which the result is drawn.
 
@@ -67,6 +74,7 @@ def match_to_levels(
         window: smallest and largest disparity searched, px; the largest is left out.
         doubt: what else is known: called with each disparity of the window, it returns (H, W) uint16, the cost to
             add there, on the scale of `_BIT_COST`; up to about 100.
+        valid: where the photos reach, of (H, W); beyond, src ends and ref is filled; None where they fill the views.
 
     Returns:
         The disparity of ref, filled everywhere. Confidence is a mean over the pixel's surroundings of
@@ -81,6 +89,8 @@ def match_to_levels(
     if doubt is not None:
         for level, candidate_px in enumerate(range(*window)):
             cost_HDW[:, level] += doubt(candidate_px)
+    if valid is not None:
+        _forget_unphotographed(cost_HDW, valid, window=window)
     total_HDW = _summed_over_paths(cost_HDW, ref * 255)
     del cost_HDW
     measured_px = _cheapest(total_HDW) + np.float32(window[0])
@@ -88,11 +98,13 @@ def match_to_levels(
     del total_HDW
     difference_px = _cross_difference(measured_px, src_disparity_px)
     is_consistent = (difference_px <= _CONSISTENT_PX) & _outside_speckles(measured_px)
+    if valid is not None:
+        is_consistent &= valid.comparable(measured_px)
     filled_px = fill_rows(np.where(is_consistent, measured_px, np.float32(np.nan)))
     disparity_px = weighted_median(filled_px, ref)
     agreement = np.exp(-np.maximum(difference_px - 0.5, 0) - np.abs(disparity_px - measured_px)) * is_consistent
     confidence = cv2.blur(agreement, (_AGREEMENT_BLOCK_PX, _AGREEMENT_BLOCK_PX)).clip(0, 1).astype(np.float32)
-    return DisparityMap(disparity_px, confidence, confidence >= _MEASURED_CONFIDENCE)
+    return without_unphotographed(DisparityMap(disparity_px, confidence, confidence >= _MEASURED_CONFIDENCE), valid)
 
 
 def _check_views(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> None:
@@ -116,6 +128,14 @@ def _matching_cost(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> 
         colour = _sum_of_three(*(_absolute_difference(r[:, at_ref], s[:, at_src]) for r, s in planes))
         cost_HDW[:, level, at_ref] = np.minimum(colour, _COLOUR_LIMIT) + bits * np.uint16(_BIT_COST)
     return cost_HDW
+
+
+def _forget_unphotographed(cost_HDW: CostVolume, valid: ValidMasks, *, window: tuple[int, int]) -> None:
+    """Let all that is compared with the continued border of a photo cost what lies outside of src does."""
+    for level, disparity_px in enumerate(range(*window)):
+        at_ref, at_src = _overlap(disparity_px, width=valid.ref.shape[1])
+        is_unknown = ~(valid.ref[:, at_ref] & valid.src[:, at_src])
+        np.copyto(cost_HDW[:, level, at_ref], np.uint16(_OUTSIDE_COST), where=is_unknown)
 
 
 def _byte_planes(image: FloatMap) -> list[ByteImage]:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from telewide.errors import InputError
-from telewide.geometry.arrays import BoolArray, FloatArray, FloatImage
+from telewide.geometry.arrays import BoolArray, BoolMap, FloatArray, FloatImage
+from telewide.geometry.stereo import ValidMasks
 from telewide.points.bandwidth import blur_to_bandwidth, estimate_asymmetry
 from telewide.points.features import Features, sift_features, stretched
 from telewide.points.robust import std_about_zero
@@ -100,6 +101,25 @@ def find_matches(ref: FloatImage, src: FloatImage) -> Matches:
         reach_px=(width / 4, max(8.0, 0.04 * height)),
     )
     return consistent_matches(align_matches(ref_grey, src_grey, found))
+
+
+def photographed_matches(matches: Matches, valid: ValidMasks | None) -> Matches:
+    """Keep the matches that lie where both photos reach; a continued border mirrors points that nobody sees there.
+
+    Args:
+        matches: of two views.
+        valid: of the views; None where the photos fill them.
+    """
+    if valid is None:
+        return matches
+    seen = [_values_at(mask, points) for mask, points in ((valid.ref, matches.ref_px), (valid.src, matches.src_px))]
+    return matches.select(seen[0] & seen[1])
+
+
+def _values_at(mask: BoolMap, points_px: NDArray[np.float64]) -> BoolArray:
+    height, width = mask.shape
+    x, y = np.round(points_px).astype(np.intp).T
+    return np.asarray(mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)])
 
 
 def consistent_matches(matches: Matches) -> Matches:

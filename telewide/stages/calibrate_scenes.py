@@ -181,7 +181,7 @@ def _matched(captures: Sequence[Capture], *, focal_mm: tuple[float, float], tick
     most = Counter(kinds.values()).most_common(1)[0][0]
     common = most.sizes
     rig = first_rig(tele_hw=common[0], wide_hw=common[1], focal=_focal_prior(focal_mm, common))
-    alike, scenes, notes = [], [], []
+    alike, scenes, notes = list[Capture](), list[Matches](), list[str]()
     shown: tuple[int, PhotoPair] | None = None
     for capture in captures:
         try:

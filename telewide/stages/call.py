@@ -12,6 +12,7 @@ from pathlib import Path
 
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.pair import CaptureSet, find_captures
+from telewide.capture.photo_store import PhotoStore
 from telewide.cores import Device
 from telewide.errors import UsageError
 from telewide.folders import alone_in, refuse_links
@@ -38,6 +39,7 @@ class Call:
         rig: what to rectify with; None for captures that are rectified.
         rig_file: the rig file as its user named it, or None.
         invocation: the command that was typed, or one that does the same; advised commands take it up.
+        photos: decoded for their pairs, needed again for depth and report.
         begun_s: when the call began, on the monotonic clock.
     """
 
@@ -50,6 +52,7 @@ class Call:
     rig: StoredRig | None
     rig_file: Path | None
     invocation: Invocation
+    photos: PhotoStore = field(default_factory=PhotoStore)
     begun_s: float = field(default_factory=time.monotonic)
 
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
-from telewide.capture.images import read_image, write_image
+from telewide.capture.images import write_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
+from telewide.capture.photo_store import PhotoStore
 from telewide.correction.moving import MovedRegion, moving_mask
 from telewide.depth.edges import follow_edges
 from telewide.depth.export import write_depth
@@ -129,6 +130,7 @@ def depth_of_capture(
     bokeh: BokehOptions | None,
     key: Mapping[str, object],
     shot: ShotGeometry | None = None,
+    photos: PhotoStore | None = None,
 ) -> DepthOutcome | DepthFailure:
     """Make depth, and bokeh if asked, of one capture, unless the same lies there already.
 
@@ -142,11 +144,13 @@ def depth_of_capture(
         bokeh: None for no bokeh picture.
         key: everything the files depend on, as plain data.
         shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
+        photos: where the tele photo may be kept; None decodes it.
 
     Returns:
         The files, and what was measured; or why there are none, where a photo, the truth or the bokeh asked for
         cannot be used: one bad capture does not stop the others.
     """
+    photos = photos or PhotoStore(max_bytes=0)
     try:
         refuse_links(folder.parent, folder)
         lying = made = read_kept(folder, key)
@@ -154,7 +158,9 @@ def depth_of_capture(
             refuse_results_of_another(folder, source.tele_path)
             refuse_foreign_files(folder, (*FILE_NAMES[: None if bokeh else -1], KEPT_NAME))
             with within_memory("its depth"):
-                computed = _compute(source, held_out, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot)
+                computed = _compute(
+                    source, held_out, photos, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot
+                )
             with fresh_folder(folder.parent) as new:
                 made = _write(new, computed, former=folder)
                 write_kept(new, made, key=key, source=source.tele_path)
@@ -181,6 +187,7 @@ class _Computed:
 def _compute(
     source: Capture,
     held_out: HeldOut,
+    photos: PhotoStore,
     *,
     facts: CaptureFacts,
     match: Match,
@@ -191,9 +198,10 @@ def _compute(
     """Do all that can fail, and touch no file."""
     begun_s = time.monotonic()
     pair = read_pair(held_out.capture)
-    working = match(pair.tele, pair.wide, window=within_width(window, pair.tele.shape[1]))
+    window = within_width(window, pair.tele.shape[1])
+    working = match(pair.tele, pair.wide, window=window, valid=pair.valid)
     numbers = {"match_s": time.monotonic() - begun_s}
-    photo = read_image(source.tele_path)
+    photo = photos.read(source.tele_path)
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     truth_px = read_truth(source, hw=photo.shape[:2])

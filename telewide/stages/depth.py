@@ -261,6 +261,7 @@ def _depth_of(
         bokeh=options.bokeh,
         key=_depth_key(item, matcher, window=window, options=options, shot=shot),
         shot=shot,
+        photos=call.photos,
     )
 
 

@@ -49,6 +49,6 @@ def _is_each_whole(labels: Path, *, of: Path) -> bool:
 
 
 def _confident(pair: RectifiedPair, window: Window) -> FloatMap:
-    matched = match_semiglobal(pair.tele, pair.wide, window=window)
+    matched = match_semiglobal(pair.tele, pair.wide, window=window, valid=pair.valid)
     is_sure = matched.valid & (matched.confidence >= LABEL_CONFIDENCE)
     return np.where(is_sure, matched.disparity_px, np.nan).astype(np.float32)

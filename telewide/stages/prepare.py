@@ -3,6 +3,7 @@
     run/pairs/<name>/{tele,wide}.png   corrected pair at the working size
     run/pairs/<name>/pair.json         what was measured, and from which files it was made
     run/pairs/<name>/shot.json         with a rig: what moved in this shot
+    run/pairs/<name>/*_valid.png       with a rig: white where the tele and the wide photo reach
     run/pairs/<name>/matches.npz       matches, in corrected coordinates: fitted to, and held out
 
 With a rig the photos are rectified first, corrected for what moved in this shot; without one they are taken for
@@ -26,7 +27,17 @@ from telewide.capture.facts import WideSide
 from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.mixed_sizes import check_sizes
-from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem, RectifiedPair, read_pair, read_photos
+from telewide.capture.pair import (
+    Capture,
+    CaptureFacts,
+    CaptureSet,
+    PhotoPair,
+    Problem,
+    RectifiedPair,
+    pair_from_photos,
+    read_photos,
+)
+from telewide.capture.photo_store import PhotoStore
 from telewide.correction.blur import fit_blur
 from telewide.correction.verdict import (
     MIN_COMMON_MATCHES,
@@ -42,7 +53,7 @@ from telewide.folders import refuse_links
 from telewide.matching.window import Window
 from telewide.npz import read_npz
 from telewide.points.held_out import HeldOut
-from telewide.points.matches import find_matches
+from telewide.points.matches import find_matches, photographed_matches
 from telewide.ranges import MAX_DISPARITY_PX, MAX_SIDE_PX
 from telewide.recipe import Recipe
 from telewide.records import as_read, read_record, write_record
@@ -65,6 +76,7 @@ from telewide.training.samples import LABELS_NAME
 FORMAT = 7
 SHOT_NAME = "shot.json"
 MATCHES_NAME = "matches.npz"
+VALID_NAMES = ("tele_valid.png", "wide_valid.png")
 _MOST_BYTES_OF_MATCHES = 1 << 26
 _FOUND_ON_THE_LEFT = (
     "by the stated doffs_px all of it would lie behind the cameras, so wide is taken to stand to the left of tele; "
@@ -112,12 +124,14 @@ def prepare(call: Call) -> PreparedSet:
     call.observer.preparing(captures)
     with alone(call, call.folder.pairs):
         if call.processes.world == 1:
-            prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig, tick=heard)
+            prepared = prepare_captures(
+                captures, call.folder, recipe=recipe, rig=call.rig, photos=call.photos, tick=heard
+            )
         else:
             mine = replace(captures, captures=call.processes.share(captures.captures))
             # An empty share, or none of it fit for use, which is said of all together.
             with suppress(InputError, QualityError):
-                prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, tick=heard)
+                prepare_captures(mine, call.folder, recipe=recipe, rig=call.rig, photos=call.photos, tick=heard)
             call.processes.wait()
             prepared = prepare_captures(captures, call.folder, recipe=recipe, rig=call.rig)
     call.observer.set_prepared(prepared)
@@ -125,7 +139,13 @@ def prepare(call: Call) -> PreparedSet:
 
 
 def prepare_captures(
-    captures: CaptureSet, run: RunFolder, *, recipe: Recipe, rig: StoredRig | None = None, tick: Tick | None = None
+    captures: CaptureSet,
+    run: RunFolder,
+    *,
+    recipe: Recipe,
+    rig: StoredRig | None = None,
+    photos: PhotoStore | None = None,
+    tick: Tick | None = None,
 ) -> PreparedSet:
     """Correct every capture of a set.
 
@@ -134,6 +154,7 @@ def prepare_captures(
         run: where the pairs are kept.
         recipe: what is corrected; the working size; the window, where it states one.
         rig: what to rectify with; None for captures that are rectified.
+        photos: keeps photos for the stages after; None where there are none.
         tick: called after each capture, with its report or None where it was left out.
 
     Returns:
@@ -144,13 +165,14 @@ def prepare_captures(
         QualityError: none can be used, and all because of what was measured on them.
     """
     captures = with_checked_lenses(captures)
+    store = photos or PhotoStore(max_bytes=0)
     pairs: list[PreparedPair] = []
     n_refused = 0
     problems = [*captures.problems, *(check_sizes(captures) if rig is None else ())]
     for capture in captures.captures:
         try:
             with within_memory("this pair"):
-                prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig)
+                prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig, photos=store)
         except (InputError, UsageError) as error:
             problems.append(Problem(capture.name, f"{error.message}; {error.hint}" if error.hint else error.message))
             prepared = None
@@ -159,21 +181,26 @@ def prepare_captures(
             n_refused += 1
         elif prepared is not None:
             pairs.append(prepared)
-            problems += _what_is_cut_off(prepared.report, recipe.window_px)
-            problems += _where_wide_stands(prepared, captures.facts)
+            cut_off = _what_is_cut_off(prepared.report, recipe.window_px)
+            problems += [*cut_off, *_where_wide_stands(prepared, captures.facts)]
         if tick is not None:
             tick(prepared.report if prepared is not None else None)
     if not pairs:
-        lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
-        hint = "mend the captures named above"
-        if rig is None and not captures.facts.rectified:
-            hint += f"; photos as they were taken need a rig, {how_to_calibrate(captures.root)}"
-        is_measured = 0 < n_refused == sum(problem.is_skipped for problem in problems)
-        kind = QualityError if is_measured else InputError
-        raise kind(f"{captures.root}: no capture can be used{lines}", hint=hint)
-    return PreparedSet(
-        pairs=tuple(pairs), facts=captures.facts, stated_window=recipe.window_px, problems=tuple(problems), rig=rig
-    )
+        raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None)
+    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig)
+
+
+def _none_left(
+    captures: CaptureSet, problems: Sequence[Problem], *, n_refused: int, needs_rig: bool
+) -> InputError | QualityError:
+    """The error of a set without a pair that can be used; of quality where all were refused by what was measured."""
+    lines = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems)
+    hint = "mend the captures named above"
+    if needs_rig and not captures.facts.rectified:
+        hint += f"; photos as they were taken need a rig, {how_to_calibrate(captures.root)}"
+    is_measured = 0 < n_refused == sum(problem.is_skipped for problem in problems)
+    kind = QualityError if is_measured else InputError
+    return kind(f"{captures.root}: no capture can be used{lines}", hint=hint)
 
 
 def _what_is_cut_off(report: PairReport, stated: Window | None) -> list[Problem]:
@@ -196,7 +223,7 @@ def _where_wide_stands(pair: PreparedPair, facts: CaptureFacts) -> list[Problem]
 
 
 def _prepare_pair(
-    capture: Capture, facts: CaptureFacts, run: RunFolder, *, recipe: Recipe, rig: StoredRig | None
+    capture: Capture, facts: CaptureFacts, run: RunFolder, *, recipe: Recipe, rig: StoredRig | None, photos: PhotoStore
 ) -> PreparedPair:
     folder = run.pairs / capture.name
     refuse_links(run.root, folder)
@@ -207,7 +234,9 @@ def _prepare_pair(
         return kept
     if rig is None and not facts.rectified:
         _refuse_to_lose_the_rig(folder, key)
-    (pair, scale), alignment = _rectified(capture, facts, recipe=recipe, rig=rig)
+    _refuse_another_kind(capture, rig)
+    taken = read_photos(capture, read=photos.read)
+    (pair, scale), alignment = _rectified(capture, taken, facts, recipe=recipe, rig=rig)
     shot = correct_shot(
         pair,
         alignment,
@@ -271,7 +300,7 @@ def correct_shot(
     Returns:
         The corrected pair with its report, of any verdict.
     """
-    matches = find_matches(pair.tele, pair.wide)
+    matches = photographed_matches(find_matches(pair.tele, pair.wide), pair.valid)
     stated = facts if alignment is None else facts.model_copy(update={"rectified": True})
     report = inspect_pair(pair, facts=stated, matches=matches, focal_lengths_mm=focal_lengths_mm)
     if alignment is None and _is_wide_on_the_left(report, facts, scale=scale):
@@ -323,19 +352,25 @@ def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:
         )
 
 
+def _refuse_another_kind(capture: Capture, rig: StoredRig | None) -> None:
+    """Photos of another kind, or camera, than those of the calibration are refused before they are decoded."""
+    if rig is None or rig.facts.image_pipeline is None:
+        return
+    for path in (capture.tele_path, capture.wide_path):
+        conflict = pipeline_conflict(rig.facts.image_pipeline, image_pipeline(path))
+        if conflict is not None:
+            raise InputError(f"{path}: {conflict}", hint="calibrate from photos of the kind you capture")
+
+
 def _rectified(
-    capture: Capture, facts: CaptureFacts, *, recipe: Recipe, rig: StoredRig | None
+    capture: Capture, photos: PhotoPair, facts: CaptureFacts, *, recipe: Recipe, rig: StoredRig | None
 ) -> tuple[tuple[RectifiedPair, float], Alignment | None]:
     """Return the pair at its working size with its scale and, where a rig was needed, its geometry to the photos."""
     if rig is None:
-        return at_working_size(read_pair(capture, facts=facts), recipe.working_width_px), None
-    if rig.facts.image_pipeline is not None:
-        for path in (capture.tele_path, capture.wide_path):
-            conflict = pipeline_conflict(rig.facts.image_pipeline, image_pipeline(path))
-            if conflict is not None:
-                raise InputError(f"{path}: {conflict}", hint="calibrate from photos of the kind you capture")
+        labels = (str(capture.tele_path), str(capture.wide_path))
+        return at_working_size(pair_from_photos(photos, labels=labels, facts=facts), recipe.working_width_px), None
     rectified, alignment = align_photos(
-        read_photos(capture),
+        photos,
         rig=rig.rig,
         working_width_px=recipe.working_width_px,
         facts=read_shot_facts(capture),
@@ -347,6 +382,9 @@ def _rectified(
 def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
     write_image(folder / "tele.png", corrected.pair.tele)
     write_image(folder / "wide.png", corrected.pair.wide)
+    if corrected.pair.valid is not None:
+        for name, mask in zip(VALID_NAMES, (corrected.pair.valid.ref, corrected.pair.valid.src), strict=True):
+            write_image(folder / name, mask.astype(np.float32))
     with replacing(folder / MATCHES_NAME) as temporary:
         np.savez(
             temporary,
@@ -394,7 +432,8 @@ def _read_kept(
             alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
     except (TelewideError, ValueError, KeyError, ArithmeticError):  # damaged: it is made again
         return None
-    corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png")
+    valid_paths = None if rig is None else (folder / VALID_NAMES[0], folder / VALID_NAMES[1])
+    corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png", valid_paths=valid_paths)
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
     return PreparedPair(
         source=capture,
@@ -410,7 +449,7 @@ def _read_kept(
 
 def _files_of_pair(rig: StoredRig | None) -> tuple[str, ...]:
     """Names of the files that a record vouches for."""
-    return ("tele.png", "wide.png", MATCHES_NAME, *(() if rig is None else (SHOT_NAME,)))
+    return ("tele.png", "wide.png", MATCHES_NAME, *(() if rig is None else (SHOT_NAME, *VALID_NAMES)))
 
 
 def _read_held_out(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -25,7 +25,7 @@ def report(call: Call, done: DepthRun) -> DepthRun:
     captures = {capture.name: capture for capture in call.captures.captures}
     rows = (
         report_row(
-            read_photos(captures[outcome.name]),
+            read_photos(captures[outcome.name], read=call.photos.read),
             done.folder / outcome.name,
             root=call.folder.root,
             numbers=outcome.numbers,

@@ -320,7 +320,7 @@ def _rows(prepared: PreparedSet, record: TrainingRecord, network: StereoNetwork)
     reader, rows = PairReader(max_bytes=0), []
     for capture in captures[:SHEET_ROWS]:
         pair = reader.read(capture)
-        disparity = match_with_network(pair.tele, pair.wide, network=network, window=record.window)
+        disparity = match_with_network(pair.tele, pair.wide, network=network, window=record.window, valid=pair.valid)
         name = f"{capture.name} (held out)" if capture.name in record.held_out else capture.name
         rows.append(ContactRow(name, pair.tele, pair.wide, disparity, rotated_deg=prepared.facts.rotated_deg))
     return rows

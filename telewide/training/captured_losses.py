@@ -17,6 +17,8 @@ from telewide.matching.sampling import is_inside_src, warp_to_ref
 from telewide.matching.window import VOLUME_STEP_PX
 from telewide.training.losses import Term, feature_metric_loss, photometric_loss, supervised_loss
 
+_WHOLLY = 0.999  # of a warped mask
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -30,6 +32,7 @@ class Comparison:
         visible_Bhw: (B, H/4, W/4) bool, what passes the left-right check; None where nothing is left out.
         space: frozen extractor, where features are compared.
         alpha: weight of the structural part.
+        valid: (B, H, W) bool each, where ref and src were photographed; None where they are whole.
     """
 
     ref_BCHW: Tensor
@@ -39,11 +42,14 @@ class Comparison:
     visible_Bhw: Tensor | None
     space: nn.Module | None
     alpha: float
+    valid: tuple[Tensor, Tensor] | None = None
 
     @property
     def counts(self) -> Tensor:
-        """(B, H, W) bool, which pixels count: those inside src, and visible as far as that is asked for."""
+        """(B, H, W) bool, which pixels count: photographed, inside src, and visible as far as that is asked for."""
         mask = is_inside_src(self.disparity_px_BHW.detach())
+        if self.valid is not None:
+            mask = mask & _surrounded(self.valid[0] & _partner_of(self.valid[1], self.disparity_px_BHW.detach()))
         return mask if self.visible_Bhw is None else mask & _enlarge(self.visible_Bhw)
 
 
@@ -85,6 +91,17 @@ CAPTURED_LOSSES: dict[str, Callable[[Comparison], Term]] = {
     "supervised": supervised,
 }
 """By the name in ``captured_loss``; ``labels`` is none of them, since labels teach the volume too."""
+
+
+def _partner_of(src_BHW: Tensor, disparity_px_BHW: Tensor) -> Tensor:
+    """(B, H, W) bool, where a ref pixel's partner is wholly mixed of pixels in the mask."""
+    return warp_to_ref(src_BHW[:, None].float(), disparity_px_BHW)[:, 0] > _WHOLLY
+
+
+def _surrounded(mask_BHW: Tensor) -> Tensor:
+    """Pixels in the mask whose neighbours, which SSIM looks at, are in it too."""
+    outside = functional.max_pool2d((~mask_BHW)[:, None].float(), 3, stride=1, padding=1)
+    return outside[:, 0] == 0
 
 
 def _enlarge(mask_Bhw: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatImage
+from telewide.geometry.stereo import ValidMasks
 from telewide.training.objective import Batch
 from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
 from telewide.training.stages import Stage
@@ -109,6 +110,7 @@ def collate(samples: list[Sample], *, n_rehearsed: int) -> Batch:
         n_rehearsed,
         occluded_BHW=torch.from_numpy(np.stack(hidden)) if hidden else None,
         undamaged=_stack_pairs(undamaged) if has_all else None,
+        valid=_stack_masks(samples),
     )
 
 
@@ -164,6 +166,16 @@ def _one_thread_each(_: int) -> None:
 def _stack_pairs(pairs: Sequence[tuple[FloatImage, FloatImage]]) -> tuple[torch.Tensor, torch.Tensor]:
     refs, srcs = zip(*pairs, strict=True)
     return _stack_images(refs), _stack_images(srcs)
+
+
+def _stack_masks(samples: Sequence[Sample]) -> tuple[torch.Tensor, torch.Tensor] | None:
+    """Masks of all crops; a crop that is whole is valid everywhere. None where all are whole."""
+    if all(sample.valid is None for sample in samples):
+        return None
+    whole = np.ones(samples[0].truth_px.shape, np.bool_)
+    masks = [sample.valid or ValidMasks(whole, whole) for sample in samples]
+    ref, src = (torch.from_numpy(np.stack(of_view)) for of_view in ([m.ref for m in masks], [m.src for m in masks]))
+    return ref, src
 
 
 def _stack_images(images: Sequence[NDArray[np.float32]]) -> torch.Tensor:

@@ -94,7 +94,7 @@ def network_judge(held_out: Sequence[HeldOut], *, window: Window, reader: PairRe
         errors_px = [np.empty(0)]
         for item in held_out:
             pair = reader.read(item.capture)
-            matched = match_with_network(pair.tele, pair.wide, network=network, window=window)
+            matched = match_with_network(pair.tele, pair.wide, network=network, window=window, valid=pair.valid)
             errors_px.append(match_errors_px(matched.disparity_px, item))
         return summarise_errors(np.concatenate(errors_px))
 

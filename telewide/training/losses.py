@@ -104,16 +104,20 @@ def feature_metric_loss(target_BCHW: Tensor, warped_BCHW: Tensor, *, mask_BHW: T
     return _masked(reconstruction_difference(target, warped, alpha=alpha), mask_BHW[:, 1:-1, 1:-1])
 
 
-def smoothness_loss(disparity_px_BHW: Tensor, ref_BCHW: Tensor) -> Term:
+def smoothness_loss(disparity_px_BHW: Tensor, ref_BCHW: Tensor, *, mask_BHW: Tensor | None = None) -> Term:
     """Edge-aware smoothness, eq. 6: ``|dx d| exp(-|dx I|) + |dy d| exp(-|dy I|)``, divided by the sum of its weights.
 
     Args:
         disparity_px_BHW: (B, H, W) d_L, px.
         ref_BCHW: (B, 3, H, W) I_L in [0, 1]; gradients are means over the channels.
+        mask_BHW: (B, H, W) bool, the pixels between which steps count; None for all.
     """
     disparity, ref = at_least_float32(disparity_px_BHW), at_least_float32(ref_BCHW)
     weight_x = torch.exp(-(ref[..., 1:] - ref[..., :-1]).abs().mean(dim=1))
     weight_y = torch.exp(-(ref[..., 1:, :] - ref[..., :-1, :]).abs().mean(dim=1))
+    if mask_BHW is not None:
+        weight_x = weight_x * (mask_BHW[..., 1:] & mask_BHW[..., :-1])
+        weight_y = weight_y * (mask_BHW[..., 1:, :] & mask_BHW[..., :-1, :])
     step_x = (disparity[..., 1:] - disparity[..., :-1]).abs()
     step_y = (disparity[..., 1:, :] - disparity[..., :-1, :]).abs()
     total = (step_x * weight_x).sum() + (step_y * weight_y).sum()

@@ -47,6 +47,7 @@ class Batch:
         occluded_BHW: (n_rehearsed, H, W) bool, hidden from src; None where nobody knows.
         window: disparities to search in these crops, px; None for the training's.
         undamaged: both views as they were before any damage, (B, 3, H, W) in [0, 1]; None where nobody has them.
+        valid: where ref and src were photographed, (B, H, W) bool each; None where all crops are whole.
     """
 
     ref_BCHW: Tensor
@@ -56,6 +57,7 @@ class Batch:
     occluded_BHW: Tensor | None = None
     window: Window | None = None
     undamaged: tuple[Tensor, Tensor] | None = None
+    valid: tuple[Tensor, Tensor] | None = None
 
     def views(self, *, is_symmetric: bool) -> tuple[Tensor, Tensor]:
         """Both views (B, 3, H, W), undamaged ones where symmetry is asked for.
@@ -73,7 +75,9 @@ class Batch:
         """Move the tensors."""
         ref, src, truth_px = (t.to(device) for t in (self.ref_BCHW, self.src_BCHW, self.truth_px_BHW))
         occluded = None if self.occluded_BHW is None else self.occluded_BHW.to(device)
-        undamaged = None if self.undamaged is None else (self.undamaged[0].to(device), self.undamaged[1].to(device))
+        undamaged, valid = (
+            None if pair is None else (pair[0].to(device), pair[1].to(device)) for pair in (self.undamaged, self.valid)
+        )
         return Batch(
             ref_BCHW=ref,
             src_BCHW=src,
@@ -82,6 +86,7 @@ class Batch:
             occluded_BHW=occluded,
             window=self.window,
             undamaged=undamaged,
+            valid=valid,
         )
 
 
@@ -176,6 +181,7 @@ def _captured_terms(
     ref, src = (view[part] for view in batch.views(is_symmetric=options.symmetric_loss))
     visible = visible_mask(output.logits_BDHW[part], window=window) if options.occlusion_masks else None
     truth_px = _within(batch.truth_px_BHW[part], window)
+    valid = None if batch.valid is None else (batch.valid[0][part], batch.valid[1][part])
     terms: Weighted = []
     for disparity_px, factor in _weighted_outputs(output):
         disparity, weight = disparity_px[part], factor * options.captured_weight
@@ -187,9 +193,12 @@ def _captured_terms(
             visible_Bhw=visible,
             space=teacher,
             alpha=options.alpha,
+            valid=valid,
         )
         terms.append((options.captured_loss, weight, CAPTURED_LOSSES[options.captured_loss](crops)))
-        terms.append(("smoothness", weight * options.smoothness, smoothness_loss(disparity, ref)))
+        terms.append(
+            ("smoothness", weight * options.smoothness, smoothness_loss(disparity, ref, mask_BHW=valid and valid[0]))
+        )
     return terms
 
 

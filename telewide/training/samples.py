@@ -12,18 +12,25 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from telewide.capture.images import read_pfm
-from telewide.capture.pair import Capture, PairReader
+from telewide.capture.pair import Capture, PairReader, RectifiedPair
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
+from telewide.geometry.stereo import ValidMasks
 
 _ZOOM = (0.75, 1.2)
 """Enlargement of a crop of a capture. Above 1 disparities spread, and the margin of the window has to hold them."""
 _CROP_MULTIPLE_PX, _LEAST_CROP_PX = 16, 64
+_LEAST_TEXTURE_PX = 32
+_WHOLLY = 0.999  # of a resized mask
 
+
+Value = TypeVar("Value", bound=np.generic)
 
 LABELS_NAME = re.compile(r"labels_-?\d+_-?\d+\.pfm")
 
@@ -38,6 +45,7 @@ class Sample:
         truth_px: (H, W) float32 disparity, px, NaN where nothing is known.
         occluded: (H, W) bool, hidden from src; None where nobody knows.
         undamaged: both views before any damage, where they are known.
+        valid: where both views were photographed, to the pixels beside; None where they are whole.
     """
 
     ref: FloatImage
@@ -45,6 +53,7 @@ class Sample:
     truth_px: FloatMap
     occluded: BoolMap | None = None
     undamaged: tuple[FloatImage, FloatImage] | None = None
+    valid: ValidMasks | None = None
 
 
 @dataclass(frozen=True)
@@ -110,10 +119,8 @@ class SeenPhotos(Sequence[FloatImage]):
         return len(self.source.captures)
 
     def __getitem__(self, index: int) -> FloatImage:  # type: ignore[override]
-        """(H, W, 3) float32 sRGB of capture ``index``, without what is held out."""
-        photo = self.source.reader.read(self.source.captures[index]).tele
-        first_x, end_x = _seen_columns(photo.shape[1], self.source)
-        return photo[:, first_x:end_x]
+        """(H, W, 3) float32 sRGB of capture ``index``, without what is held out and without continued borders."""
+        return _texture(self.source.reader.read(self.source.captures[index]), self.source)
 
 
 def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bool) -> Sample:
@@ -140,19 +147,27 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
     if source.undamaged is not None:
         views.append(_cut(source.reader.read(source.undamaged[capture.name]).wide, src_box, source.crop_hw))
     truth_px = _cut_labels(labels, box, source.crop_hw, shift_px=shift_px)
+    valid = pair.valid and ValidMasks(
+        _cut_mask(pair.valid.ref, box, source.crop_hw), _cut_mask(pair.valid.src, src_box, source.crop_hw)
+    )
     ref, src, *rest = _jitter(views, rng)
     undamaged = (ref, rest[0]) if rest else None
     if may_swap and rng.random() < 0.5:
         ref, src = _exchanged((ref, src))
         undamaged = None if undamaged is None else _exchanged(undamaged)
+        valid = valid and ValidMasks(_mirrored(valid.src), _mirrored(valid.ref))
         truth_px = np.full_like(truth_px, np.nan)
-    return Sample(ref, src, truth_px, undamaged=undamaged)
+    return Sample(ref, src, truth_px, undamaged=undamaged, valid=valid)
 
 
 def _exchanged(views: tuple[FloatImage, FloatImage]) -> tuple[FloatImage, FloatImage]:
     """One for the other, mirrored, so that disparities keep their sign."""
     ref, src = views
-    return np.ascontiguousarray(src[:, ::-1]), np.ascontiguousarray(ref[:, ::-1])
+    return _mirrored(src), _mirrored(ref)
+
+
+def _mirrored(values: NDArray[Value]) -> NDArray[Value]:
+    return np.ascontiguousarray(values[:, ::-1])
 
 
 def fitting_crop(crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]]) -> tuple[int, int]:
@@ -175,6 +190,34 @@ def fitting_crop(crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]]) 
 
 def _choose(captures: Sequence[Capture], rng: np.random.Generator) -> Capture:
     return captures[int(rng.integers(len(captures)))]
+
+
+def _texture(pair: RectifiedPair, source: SampleSource) -> FloatImage:
+    """The part of the tele view that training may see, without continued borders."""
+    first_x, end_x = _seen_columns(pair.tele.shape[1], source)
+    if pair.valid is None:
+        return pair.tele[:, first_x:end_x]
+    return pair.tele[:, first_x:end_x][inner_rectangle(pair.valid.ref[:, first_x:end_x])]
+
+
+def inner_rectangle(valid: BoolMap) -> tuple[slice, slice]:
+    """A large rectangle of valid pixels: the sides where least is valid are given up first.
+
+    Args:
+        valid: (H, W) bool, of one piece, such as a turned photo's.
+
+    Returns:
+        Rows and columns; of all pixels where hardly any is valid.
+    """
+    top, bottom, left, right = 0, valid.shape[0], 0, valid.shape[1]
+    while bottom - top > _LEAST_TEXTURE_PX and right - left > _LEAST_TEXTURE_PX:
+        part = valid[top:bottom, left:right]
+        if part.all():
+            return slice(top, bottom), slice(left, right)
+        shares = [side.mean() for side in (part[0], part[-1], part[:, 0], part[:, -1])]
+        worst = int(np.argmin(shares))
+        top, bottom, left, right = top + (worst == 0), bottom - (worst == 1), left + (worst == 2), right - (worst == 3)
+    return slice(None), slice(None)
 
 
 def _seen_columns(width: int, source: SampleSource) -> tuple[int, int]:
@@ -220,6 +263,14 @@ def _cut(view: FloatImage, box: _Box, crop_hw: tuple[int, int]) -> FloatImage:
     interpolation = cv2.INTER_AREA if box.width > crop_hw[1] else cv2.INTER_CUBIC
     resized = cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=interpolation)
     return np.clip(resized, 0, 1).astype(np.float32, copy=False)
+
+
+def _cut_mask(valid: BoolMap, box: _Box, crop_hw: tuple[int, int]) -> BoolMap:
+    """Cut as the views are cut; what is mixed with what no photo shows does not count."""
+    whole = cv2.erode(valid.astype(np.float32), np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
+    part = whole[box.y : box.y + box.height, box.x : box.x + box.width]
+    interpolation = cv2.INTER_AREA if box.width > crop_hw[1] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=interpolation) > _WHOLLY)
 
 
 def _cut_labels(labels: FloatMap | None, box: _Box, crop_hw: tuple[int, int], *, shift_px: int) -> FloatMap:

@@ -25,7 +25,7 @@ from telewide.capture.pair import find_captures
 from telewide.cli.benchmark import benchmark_app
 from telewide.errors import InputError, TelewideError
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.matcher import Matcher
 from telewide.matching.window import Window
 from telewide.recipe import Recipe
@@ -260,7 +260,7 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def answering(name: str, disparity_px: FloatMap) -> Matcher:
-    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         ones = np.ones(ref.shape[:2], np.float32)
         return DisparityMap(disparity_px, ones, ones > 0)
 

@@ -18,7 +18,7 @@ from telewide.capture.pair import find_captures
 from telewide.cli.benchmark import benchmark_app
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.matcher import Matcher
 from telewide.matching.networks import build_network
 from telewide.matching.window import Window
@@ -34,7 +34,7 @@ OFF_PX = 2.0
 def answering(name: str, disparity_px: FloatMap) -> Matcher:
     """A matcher that always gives one map."""
 
-    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         assert ref.shape == src.shape == (*disparity_px.shape, 3)
         return DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
 
@@ -76,7 +76,7 @@ def photographed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "captures", folder / "rigs" / "phone.yaml"
 
 
-def flat(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+def flat(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
     height, width = ref.shape[:2]
     return DisparityMap(*(np.zeros((height, width), kind) for kind in (np.float32, np.float32, np.bool_)))
 
@@ -99,7 +99,7 @@ def test_all_search_what_the_captures_need_and_networks_were_trained_for(capture
     searched: dict[str, Window] = {}
 
     def note(name: str, trained: Window | None) -> Entrant:
-        def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+        def match(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
             searched[name] = window
             return flat(ref, src, window=window)
 

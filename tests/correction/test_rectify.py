@@ -78,7 +78,10 @@ def seen_in(made: Rectification, *, is_src: bool) -> tuple[FloatArray, FloatArra
 def test_both_views_show_the_plane_where_it_is(place: str, working_width_px: int | None) -> None:
     rig = phone(place, shrink=SHRINK)
     made = rectify_pair(*plane_photos(place), rig=rig, name="plane", working_width_px=working_width_px)
-    for view, valid, is_src in ((made.pair.tele, made.tele_valid, False), (made.pair.wide, made.wide_valid, True)):
+    for view, valid, is_src in (
+        (made.pair.tele, made.pair.valid.ref, False),
+        (made.pair.wide, made.pair.valid.src, True),
+    ):
         assert view.dtype == np.float32
         assert view.shape == (*made.geometry.hw, 3)
         assert valid.shape == made.geometry.hw
@@ -114,9 +117,9 @@ def test_the_views_match_at_the_known_disparity(place: str) -> None:
             ],
             axis=-1,
         )
-        both = shifted(made.tele_valid, 3) & (at_px > 3) & (at_px < columns[-1] - 3)
+        both = shifted(made.pair.valid.ref, 3) & (at_px > 3) & (at_px < columns[-1] - 3)
         errors[shift_px] = np.abs(matched - made.pair.tele)[both].mean()
-        shares[shift_px] = both.sum() / made.tele_valid.sum()
+        shares[shift_px] = both.sum() / made.pair.valid.ref.sum()
     assert errors[0.0] < 0.01
     assert min(errors[-1.0], errors[1.0]) > 5 * errors[0.0]
     assert shares[0.0] > 0.9
@@ -129,9 +132,9 @@ def test_no_border_of_tele_is_lost() -> None:
     _, z_m = seen_in(made, is_src=False)
     partner = np.round(np.arange(made.geometry.hw[1]) - made.f_px * rig.baseline_m / z_m).astype(int)
     rows = np.broadcast_to(np.arange(made.geometry.hw[0])[:, None], partner.shape)
-    assert partner[made.tele_valid].min() >= 0
-    assert made.wide_valid[rows[made.tele_valid], partner[made.tele_valid]].all()
-    assert not made.tele_valid[:, : made.geometry.margin_px - 1].any()
+    assert partner[made.pair.valid.ref].min() >= 0
+    assert made.pair.valid.src[rows[made.pair.valid.ref], partner[made.pair.valid.ref]].all()
+    assert not made.pair.valid.ref[:, : made.geometry.margin_px - 1].any()
 
 
 def test_a_photo_that_ends_is_marked_and_continued() -> None:
@@ -140,10 +143,10 @@ def test_a_photo_that_ends_is_marked_and_continued() -> None:
     # Of wide only the upper half was kept, and its camera knows.
     half = replace(rig, wide=replace(rig.wide, hw=(60, 163)))
     made = rectify_pair(tele, wide[:60], rig=half)
-    assert 0.3 < made.wide_valid.mean() < 0.7
+    assert 0.3 < made.pair.valid.src.mean() < 0.7
     assert np.isfinite(made.pair.wide).all()
     expected, _ = seen_in(made, is_src=True)
-    inside = shifted(made.wide_valid, 6)
+    inside = shifted(made.pair.valid.src, 6)
     np.testing.assert_allclose(made.pair.wide[inside], expected[inside], atol=0.04)
 
 

@@ -22,7 +22,7 @@ from telewide.drawing import upright
 from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import rectified_geometry
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture, on_photo
@@ -32,7 +32,7 @@ FACTS = CaptureFacts(rectified=True)
 WINDOW = (0, 32)
 
 
-def stepped(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+def stepped(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
     """Far on the left, near on the right."""
     disparity_px = np.where(np.arange(HW[1]) < HW[1] // 2, 4.0, 12.0)[None].repeat(HW[0], axis=0).astype(np.float32)
     return DisparityMap(disparity_px, np.ones(HW, np.float32), np.ones(HW, np.bool_))
@@ -96,7 +96,7 @@ def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Cap
             HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
             tmp_path,
             facts=CaptureFacts(),
-            match=lambda ref, src, *, window: seen,
+            match=lambda ref, src, *, window, valid: seen,
             window=WINDOW,
             bokeh=BokehOptions(focus="40,30"),
             key={"known": known is not None, "shift_px": shift_px},
@@ -147,7 +147,7 @@ def test_what_moved_between_the_photos_is_not_measured(capture: Capture, tmp_pat
     outline_px = np.array([[50.0, 20.0], [70.0, 20.0], [70.0, 40.0], [50.0, 40.0]])
     shot = ShotGeometry(geometry, DepthPrecision(), moved=(MovedRegion(outline_px, 9, 3.0),))
 
-    def even(_ref: FloatMap, _src: FloatMap, *, window: tuple[int, int]) -> DisparityMap:
+    def even(_ref: FloatMap, _src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         return DisparityMap(
             np.full(geometry.hw, 5, np.float32), np.ones(geometry.hw, np.float32), np.ones(geometry.hw, bool)
         )
@@ -212,7 +212,7 @@ def test_a_truth_that_knows_nothing_is_said_and_judges_nothing(capture: Capture,
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
 def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path: Path, error: Exception) -> None:
-    def greedy(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+    def greedy(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         raise error
 
     outcome = depth_of_capture(
@@ -233,7 +233,7 @@ def test_a_lack_of_memory_is_a_problem_of_its_capture(capture: Capture, tmp_path
 def depth_made(capture: Capture, folder: Path, *, bokeh: BokehOptions | None, turn: int) -> DepthOutcome | DepthFailure:
     """Depth by a match that differs from turn to turn."""
 
-    def match(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+    def match(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         seen = stepped(ref, src, window=window)
         return dataclasses.replace(seen, disparity_px=seen.disparity_px + np.float32(turn))
 
@@ -386,7 +386,7 @@ def test_lenses_that_stand_the_other_way_round_are_spoken_of(
 ) -> None:
     """All disparities are negative: near and far are exchanged, and no metre is in front of the cameras."""
 
-    def mirrored(ref: FloatMap, src: FloatMap, *, window: Window) -> DisparityMap:
+    def mirrored(ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None) -> DisparityMap:
         seen = stepped(ref, src, window=window)
         return dataclasses.replace(seen, disparity_px=-seen.disparity_px)
 

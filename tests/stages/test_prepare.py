@@ -9,16 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rig_worlds import phone_rig, photos_of_a_plane
 
 import telewide.stages.prepare
+from telewide.calibration.rig_file import RigFacts, read_rig
 from telewide.capture.images import read_image, read_pfm, write_image
-from telewide.capture.pair import find_captures
+from telewide.capture.pair import find_captures, read_pair
+from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, QualityError
 from telewide.files import fingerprint
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.labels import write_labels
-from telewide.stages.pairs import PreparedSet
+from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import refuse_without_rig
 from telewide.stages.run_folder import RunFolder
@@ -55,6 +58,39 @@ def test_a_stopped_preparation_vouches_for_nothing(
     assert not np.array_equal(read_image(wide_path), expected), "the other kind was written before the stop"
     prepared(captures, run, *asked)
     assert np.array_equal(read_image(wide_path), expected)
+
+
+def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
+    tmp_path: Path, rng: np.random.Generator, repo: Path
+) -> None:
+    rig, recipe, run = phone_rig(width_px=480), load_recipe("quick"), RunFolder(tmp_path / "run")
+    for view, photo in zip(("tele", "wide"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(tmp_path / "captures" / "one" / f"{view}.png", photo)
+    found = find_captures(tmp_path / "captures")
+    stored = dataclasses.replace(read_rig(repo / "calib" / "rigs" / "example_phone.yaml"), rig=rig, facts=RigFacts())
+
+    def made() -> PreparedPair:
+        (pair,) = prepare_captures(found, run, recipe=recipe, rig=stored).pairs
+        return pair
+
+    pair = made()
+    assert pair.alignment is not None
+    photos = (read_image(path) for path in (pair.source.tele_path, pair.source.wide_path))
+    expected = rectify_pair(*photos, rig=pair.alignment.geometry.rig, working_width_px=recipe.working_width_px).pair
+    valid = read_pair(pair.capture).valid
+    assert valid is not None
+    assert expected.valid is not None
+    assert 0.5 < valid.ref.mean() < 1
+    np.testing.assert_array_equal(valid.ref, expected.valid.ref)
+    np.testing.assert_array_equal(valid.src, expected.valid.src)
+    points_px = np.round(pair.held_out.ref_px).astype(int)
+    assert len(points_px) > 20
+    assert valid.ref[points_px[:, 1], points_px[:, 0]].all(), "judged by what no photo shows"
+    mask = run.pairs / "one" / "tele_valid.png"
+    written = mask.read_bytes()
+    mask.unlink()
+    assert read_pair(made().capture).valid is not None
+    assert mask.read_bytes() == written
 
 
 @pytest.mark.parametrize(
