@@ -71,7 +71,7 @@ def shown_in(text: str) -> Iterator[str]:
     """Command lines in a text: spans in backticks, and lines that begin with one."""
     joined = re.sub(r"(?<=\S)\n(?! *\n)", " ", text)
     spans = re.findall(r"`(?:torchrun[^`]*-m )?(telewide [^`]+)`", joined)
-    lines = re.findall(r"^(?: {4}|\t)[^#\n]*?\b(telewide (?=[a-z])[^#\n;]*)", text, re.MULTILINE)
+    lines = re.findall(r"^(?: {4}|\t)[^#\n]*?\b(telewide (?=[a-z])[^#\n;&]*)", text, re.MULTILINE)
     for shown in [*spans, *lines]:
         if "..." not in shown and "COMMAND" not in shown:
             yield re.sub(r"\$\((\w+)\)", lambda name: "" if name[1] == "RUN_FLAGS" else name[1], shown)
