@@ -27,10 +27,12 @@ from telewide.errors import InputError, TelewideError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.matcher import Matcher
+from telewide.matching.networks import build_network
 from telewide.matching.window import Window
-from telewide.recipe import Recipe
+from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.run_folder import RunFolder
+from telewide.training.checkpoint import WeightsCard, save_weights
 
 P30_MARKS = Path(__file__).with_name("p30_marks.yaml")
 HW = (120, 160)
@@ -347,6 +349,18 @@ def test_the_command_prints_a_table_and_writes_pictures(captures: Path, tmp_path
     assert (tmp_path / "sheets" / f"{capture.name}.png").is_file()
     content = json.loads((tmp_path / "marks.json").read_text())
     assert [row["capture"] for row in content["rows"]] == [capture.name, "mean"]
+
+
+def test_a_network_is_judged_alone_and_jointly(captures: Path, tmp_path: Path) -> None:
+    (capture,) = find_captures(captures).captures
+    card = WeightsCard("lite", (0, 16), load_recipe("quick").model_dump(mode="json"), {})
+    save_weights(build_network("lite"), tmp_path / "kept.safetensors", card=card)
+    marks = write_marks(tmp_path / "marks.yaml", capture=capture.name)
+    words = ["marks", str(captures), "--marks", str(marks), "--run", str(tmp_path / "kept.safetensors")]
+    done = CliRunner().invoke(benchmark_app, [*words, "--json", str(tmp_path / "marks.json")])
+    assert done.exit_code == 0, done.output
+    means = [row for row in json.loads((tmp_path / "marks.json").read_text())["rows"] if row["capture"] == "mean"]
+    assert [row["matcher"] for row in means] == ["sgm", "kept", "kept + sgm"]
 
 
 def test_missing_marks_are_a_clear_error(captures: Path, tmp_path: Path) -> None:
