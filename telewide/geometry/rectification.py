@@ -154,7 +154,7 @@ def rectified_geometry(
     shown_wh = np.ceil(extent_px - _WHOLE_PX)
     margin_px = known_px + math.floor(extent_px[0] * share + _WHOLE_PX)
     centre_px = np.array([margin_px, 0]) - 0.5 - low_xy * f_px + np.maximum(shown_wh - extent_px, 0) / 2
-    _check_canvas(shown_wh, rig)
+    check_canvas(shown_wh, rig)
     hw = (int(shown_wh[1]), int(shown_wh[0]) + margin_px)
     return RectifiedGeometry(
         rig=rig,
@@ -276,7 +276,18 @@ def _border_px(hw: tuple[int, int]) -> FloatArray:
     return np.concatenate([np.column_stack(side) for side in sides])
 
 
-def _check_canvas(shown_wh: FloatArray, rig: StereoRig) -> None:
+def check_canvas(shown_wh: FloatArray, rig: StereoRig) -> None:
+    """Refuse a view that takes far more pixels than tele's photo has: no rig of these photos asks for it.
+
+    Args:
+        shown_wh: width and height of the view, px; not finite where a distortion cannot be undone.
+        rig: which asks for it.
+
+    Raises:
+        InputError: it is too large.
+    """
+    if not np.isfinite(shown_wh).all():
+        raise InputError("the distortion of tele cannot be undone at the border of its photo", hint="calibrate again")
     if not shown_wh.prod() <= MAX_CANVAS * math.prod(rig.tele.hw):
         raise InputError(
             f"the rectified views of this rig would have {shown_wh[0]:.0f} x {shown_wh[1]:.0f} px, its tele photo has "

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from telewide.geometry.arrays import FloatArray, FloatImage
 from telewide.geometry.grids import dense_map
-from telewide.geometry.rectification import rectifying_rotation, rig_at_sizes
+from telewide.geometry.rectification import check_canvas, rectifying_rotation, rig_at_sizes
 from telewide.geometry.resample import resample
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.points.epipolar import MATCHING_SIDE_PX
@@ -78,7 +78,7 @@ def find_photo_matches(
         N matches, ``ref_px`` in tele's photo and ``src_px`` in wide's; also of things that moved, and a few wrong ones.
 
     Raises:
-        InputError: the rig is for photos of another shape.
+        InputError: the rig is for photos of another shape, or sees farther around than any lens.
     """
     rig = rig_at_sizes(rig, tele_hw=_hw(tele), wide_hw=_hw(wide))
     tele_view, wide_view = _virtual_views(grey(tele), grey(wide), rig, working_side_px)
@@ -120,6 +120,7 @@ def _virtual_views(
     low, high = (rays[:, :2] / rays[:, 2:]).min(axis=0), (rays[:, :2] / rays[:, 2:]).max(axis=0)
     f_px = rig.tele.f_px * min(1.0, working_side_px / max(height, width))
     K = np.array([[f_px, 0, -f_px * low[0]], [0, f_px, -f_px * low[1]], [0, 0, 1.0]])
+    check_canvas(f_px * (high - low) + 1, rig)
     wh = np.ceil(f_px * (high - low)).astype(int) + 1
     return tuple(  # type: ignore[return-value]
         _VirtualView(_resampled(photo, camera, K=K, turn=turn, wh=(int(wh[0]), int(wh[1]))), camera, K, turn)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
@@ -52,3 +54,12 @@ def test_photos_without_texture_have_no_matches() -> None:
     rig = phone_rig(width_px=640)
     blank = np.full((480, 640, 3), 0.5, np.float32)
     assert len(find_photo_matches(blank, blank, rig=rig)) == 0
+
+
+@pytest.mark.parametrize("k1", [1e6, -1e6])
+def test_a_rig_whose_distortion_cannot_be_undone_is_refused(k1: float) -> None:
+    rig = phone_rig(width_px=640)
+    strange = replace(rig, tele=replace(rig.tele, distortion=np.array([k1, 0, 0, 0, 0, 0, 0, 0])))
+    photos = [np.zeros((*camera.hw, 3), np.float32) for camera in (rig.tele, rig.wide)]
+    with pytest.raises(InputError, match="cannot be undone at the border"):
+        find_photo_matches(*photos, rig=strange)
