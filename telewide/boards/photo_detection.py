@@ -74,8 +74,8 @@ def detect_photos(paths: Sequence[Path], *, board: Board, processes: int | None 
             for result in _detect_in_processes(paths, board, n_processes):
                 yield result
                 done += 1
-        except BrokenProcessPool:
-            # Out of memory, or the caller's script cannot be started twice: one photo at a time still works.
+        except (BrokenProcessPool, OSError):
+            # Out of memory, no semaphores, or the caller's script cannot be started twice: one at a time still works.
             _log.warning("the processes that look for boards were stopped; going on with one")
     for path in paths[done:]:
         yield _detect_photo(path, board)

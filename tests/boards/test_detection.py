@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import cv2
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from boards.board_photos import board_photo, pattern_points_m, projected, px_from_pattern
 from numpy.typing import NDArray
+from PIL import Image
 
 from telewide.boards.board import Board, board_points_m, load_board
 from telewide.boards.detection import BoardView, detect_board
-from telewide.boards.photo_detection import read_grey
+from telewide.boards.photo_detection import detect_photos, read_grey
 
 EXACT_PX = 0.05
 HW = (480, 640)
@@ -210,3 +212,20 @@ def test_a_photo_without_a_board_is_soon_given_up(data_root: Path) -> None:
     started_s = time.process_time()
     assert detect_board(photo, board=load_board("chessboard_9x6")) is None
     assert time.process_time() - started_s < 20
+
+
+def test_where_no_processes_can_be_started_one_looks_for_the_board(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Their semaphores are files in memory, which a limit of files, or no such place, forbids."""
+    for name in ("a.png", "b.png"):
+        Image.new("L", (64, 48)).save(tmp_path / name)
+    paths, board = [tmp_path / "a.png", tmp_path / "b.png"], load_board("chessboard_9x6")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, hard))
+    try:
+        results = list(detect_photos(paths, board=board, processes=2))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert len(results) == 2
+    assert "going on with one" in caplog.text
