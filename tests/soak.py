@@ -156,6 +156,7 @@ def make_world() -> None:
     """Captures, and boards of a simulated phone, in the current folder."""
     write_captures(Path("captures"), count=2, seed=1, hw=(192, 256), factor=2)
     write_captures(Path("small"), count=2, seed=1, hw=(96, 128), factor=2)
+    write_captures(Path("sharp"), count=1, seed=1, hw=(768, 1024), factor=2)
     write_phone(Path("phone"), captures=1, boards=9, seed=1, width=640)
     shutil.move("phone/boards", "boards")
 
@@ -265,12 +266,13 @@ def large(base: Path) -> None:
 
         def enlarge(folder: Path = folder, wh: tuple[int, int] = SIDES[megapixels]) -> None:
             for view in ("tele", "wide"):
-                with Image.open(base / "captures" / "000" / f"{view}.png") as photo:
+                with Image.open(base / "sharp" / "000" / f"{view}.png") as photo:
                     photo.resize(wh, Image.Resampling.BICUBIC).save(folder / "captures" / "a" / f"{view}.jpg")
 
         done(enlarge, folder)
         (folder / "captures" / "captures.yaml").write_text("rectified: true\n")
         ended = done("depth captures --method sgm --bokeh --quiet", folder)
+        assert ended.code == 0, ended.said
         shape = np.shape(read_pfm(folder / "run" / "depth" / "a" / "disparity.pfm"))
         tell(f"large: {megapixels} megapixels, {cost(ended)}; depth of {shape[1]} x {shape[0]} px")
 
