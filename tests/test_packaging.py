@@ -128,7 +128,7 @@ def test_fresh_environment_finds_the_shipped_data(fresh_bin: Path, tmp_path: Pat
 
 
 def test_lower_bounds_are_constraints_that_pip_reads(repo: Path) -> None:
-    """`make test-minima` runs the quick tests with these versions."""
+    """`make test-minima` runs quick tests with these versions."""
     printed = run(sys.executable, repo / ".ci/minima", cwd=repo).splitlines()
     project = tomllib.loads((repo / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = [re.split(r"[>=<]", requirement)[0] for requirement in project["dependencies"]]
