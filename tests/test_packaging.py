@@ -82,7 +82,10 @@ def test_wheel_holds_the_package_and_nothing_else(wheel: Path, repo: Path) -> No
     assert "telewide/py.typed" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"telewide"}
-    assert wheel.stat().st_size < 5_000_000
+    with zipfile.ZipFile(wheel) as archive:
+        weights = archive.getinfo("telewide/weights/box.safetensors")
+    assert weights.file_size < 12_000_000
+    assert wheel.stat().st_size - weights.compress_size < 5_000_000
 
 
 def test_sdist_holds_what_the_wheel_needs(built: Path) -> None:
@@ -104,7 +107,7 @@ def test_sdist_holds_what_its_readme_speaks_of(built: Path, repo: Path) -> None:
     needed = {"Makefile", "constraints.txt", "tests/conftest.py", "examples/phone/boards/000/tele.jpg"}
     folders = {parent.as_posix() for name in names for parent in Path(name).parents}
     assert (linked | needed) - names - folders == set()
-    assert next(built.glob("*.tar.gz")).stat().st_size < 15_000_000
+    assert next(built.glob("*.tar.gz")).stat().st_size < 27_000_000
 
 
 def test_fresh_environment_runs_it(fresh_bin: Path, repo: Path, tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_a_stated_baseline_and_too_few_captures_to_check_by(
     std = read_rig(tmp_path / "few.yaml").transform_std
     assert std is not None
     assert std.baseline_m == pytest.approx(0.0005)
-    assert "12.00 &plusmn; 0.50 mm" in (tmp_path / "few_report.html").read_text(encoding="utf-8")
+    assert "12.00 ± 0.50 mm" in (tmp_path / "few_report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
