@@ -54,7 +54,7 @@ def export_model(
         say(f"wrote {done.path}: {done.network}, {done.window[0]} to {done.window[1]} px, {fixed}, {megabytes:.1f} MB")
         for c in done.comparisons:
             say(
-                f"at {c.hw[1]}x{c.hw[0]} it differs from torch by {c.largest_px:.1g} px at most; "
+                f"at {c.hw[1]}x{c.hw[0]} it differs from torch at {100 * c.differing:.2g} % of the pixels; "
                 f"onnxruntime {c.onnxruntime_s:.2f} s, torch {c.torch_s:.2f} s on {c.threads} threads"
             )
     if as_json:

@@ -94,9 +94,8 @@ def test_a_missing_extra_is_one_message(
     assert not model.exists()
 
 
-@pytest.mark.parametrize("largest", [(0.002, 0.0), (0.0, 0.002), (float("nan"), 0.0)])
-def test_a_model_that_differs_is_refused(largest: tuple[float, float]) -> None:
-    same, other = (OnnxComparison((64, 64), *both, 1.0, 1.0, 1) for both in ((1e-4, 1e-4), largest))
+def test_a_model_that_differs_is_refused() -> None:
+    same, other = (OnnxComparison((64, 64), differing, 1.0, 1.0, 1) for differing in (0.005, 0.02))
     stage.refuse_difference(Path("m.onnx"), [same])
     with pytest.raises(QualityError, match="not written"):
         stage.refuse_difference(Path("m.onnx"), [same, other])
@@ -106,7 +105,7 @@ def test_a_model_that_differs_is_refused(largest: tuple[float, float]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "window"), [("guided", (0, 16)), ("guided", (-20, 12)), ("lite", (-4, 20))])
 def test_a_model_of_any_size_computes_what_torch_does(name: str, window: Window, tmp_path: Path) -> None:
-    """At two sizes: the command refuses to write what differs by more than 1e-3 px."""
+    """At two sizes: the command refuses to write what differs at more than one pixel in a hundred."""
     done = stage.export_model(weights_of(name, tmp_path), tmp_path / "m.onnx", window=window, tell=lambda text: None)
     assert len({comparison.hw for comparison in done.comparisons}) == 2
     assert done.path.stat().st_size < 16e6
@@ -134,4 +133,4 @@ def test_the_documented_example_runs(repo: Path, tmp_path: Path, monkeypatch: py
     }
     # Another network than the one it was made from: the comparison sees it.
     other = OnnxNetwork(build_network("lite", seed=1).eval(), WINDOW)
-    assert compare_onnx(Path("depth.onnx"), other, hw=(256, 384)).largest_px > 0.01
+    assert compare_onnx(Path("depth.onnx"), other, hw=(256, 384)).differing > 0.5
