@@ -36,7 +36,7 @@ test: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(PYTEST_ARGS)
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m slow $(PARALLEL) $(PYTEST_ARGS)
 
 # Old releases warn of what newer ones of others have deprecated: only here are warnings no errors. What is measured on
 # photographed data sets is left out: other releases of OpenCV draw other matches.
