@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from telewide.errors import TelewideError, UsageError
-from telewide.files import parse_yaml
+from telewide.yaml_files import parse_yaml
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails

@@ -9,11 +9,11 @@ from pydantic import Field, field_validator
 
 from telewide.assets import find_asset
 from telewide.errors import InputError, UsageError
-from telewide.files import read_yaml
 from telewide.matching.window import check_stated_window
 from telewide.options import Options, apply_settings, parse_options
 from telewide.ranges import MAX_DISPARITY_PX, MAX_SEED
 from telewide.training.options import TrainOptions
+from telewide.yaml_files import read_yaml
 
 DEFAULT_RECIPE = "default"
 

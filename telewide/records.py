@@ -28,8 +28,9 @@ from pydantic import (
 )
 
 from telewide.errors import InputError
-from telewide.files import MAX_DEPTH, read_regular, write_text
+from telewide.files import read_regular, write_text
 from telewide.text import json_text
+from telewide.yaml_files import MAX_DEPTH
 
 MAX_JSON_BYTES = 1 << 24
 _LARGEST_WHOLE = 1 << 63

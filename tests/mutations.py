@@ -20,16 +20,17 @@ from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.facts import read_facts
-from telewide.capture.images import read_image, read_pfm, write_pfm
+from telewide.capture.images import read_image
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.correction.blur import BlurEstimate
 from telewide.correction.verdict import PairReport
 from telewide.depth.export import read_disparity
-from telewide.files import read_yaml
 from telewide.geometry.rectification import rectified_geometry
 from telewide.recipe import load_recipe
 from telewide.records import checked, read_json
 from telewide.text import json_text
 from telewide.training.log import read_log
+from telewide.yaml_files import read_yaml
 
 HW = (48, 64)
 Read = Callable[[Path], object]

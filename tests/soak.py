@@ -34,7 +34,8 @@ import numpy as np
 from PIL import Image
 
 import telewide
-from telewide.capture.images import read_image, read_pfm
+from telewide.capture.images import read_image
+from telewide.capture.pfm import read_pfm
 from telewide.cli import main as call_telewide
 from telewide.npz import read_npz
 from telewide.records import read_json

@@ -14,7 +14,8 @@ from source import modules_loaded_by
 
 import telewide
 from telewide import api
-from telewide.capture.images import read_image, read_pfm
+from telewide.capture.images import read_image
+from telewide.capture.pfm import read_pfm
 from telewide.cli import main
 from telewide.errors import UsageError
 

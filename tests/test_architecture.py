@@ -26,6 +26,7 @@ LAYERS = {
     "errors": 0,
     "options": 0,
     "npz": 0,
+    "yaml_files": 0,
     "records": 0,
     "ranges": 0,
     "assets": 0,

@@ -21,7 +21,8 @@ from PIL import Image
 from rigs import in_wide, phone, points_in_view
 from source import Module, at, calls, functions, identifiers, module_from_text, modules, parameters
 
-from telewide.capture.images import read_image, read_pfm, resize_bicubic, write_image, write_pfm
+from telewide.capture.images import read_image, resize_bicubic, write_image
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.geometry.camera import scaled_intrinsics, scaled_points
 from telewide.geometry.rectification import rectified_geometry

@@ -17,16 +17,10 @@ from telewide.boards.board import load_board
 from telewide.calibration.rig_file import read_rig
 from telewide.capture.facts import read_facts
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import (
-    MAX_DEPTH,
-    MAX_YAML_BYTES,
-    once_a_file,
-    parse_yaml,
-    read_regular,
-    read_yaml,
-)
+from telewide.files import once_a_file, read_regular
 from telewide.recipe import load_recipe
 from telewide.records import read_json
+from telewide.yaml_files import MAX_DEPTH, MAX_YAML_BYTES, parse_yaml, read_yaml
 
 
 def plain(text: str) -> object:

@@ -18,8 +18,9 @@ from telewide.bokeh.picture import BokehOptions, bokeh_picture, check_bokeh
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.capture.facts import CaptureFacts
-from telewide.capture.images import read_image, read_pfm, write_image
+from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, find_captures
+from telewide.capture.pfm import read_pfm
 from telewide.cli import main
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap

@@ -15,10 +15,10 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from telewide.errors import InputError, unknown_name
-from telewide.files import read_yaml
 from telewide.geometry.arrays import FloatImage
 from telewide.options import Options, parse_options
 from telewide.simulate.degrade import Degradation, degrade
+from telewide.yaml_files import read_yaml
 
 DAMAGES_FILE = Path(__file__).with_name("damages.yaml")
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Literal
 
 from telewide.errors import InputError
-from telewide.files import read_yaml
 from telewide.options import Options, parse_options
 from telewide.recipe import Recipe, load_recipe
+from telewide.yaml_files import read_yaml
 
 LEARNED_FILE = Path(__file__).with_name("learned.yaml")
 

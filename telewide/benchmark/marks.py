@@ -14,8 +14,8 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from telewide.errors import InputError
-from telewide.files import read_yaml
 from telewide.options import Options, parse_options
+from telewide.yaml_files import read_yaml
 
 Point = tuple[float, float]
 

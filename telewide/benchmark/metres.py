@@ -23,7 +23,8 @@ from telewide.boards.board import board_points_m, load_board, resized_board
 from telewide.boards.shots import detect_shots, find_board_shots
 from telewide.calibration.rig_file import RigFacts, write_rig
 from telewide.calibration.solver import calibrate_rig
-from telewide.capture.images import read_image, read_pfm
+from telewide.capture.images import read_image
+from telewide.capture.pfm import read_pfm
 from telewide.cores import Device
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatArray

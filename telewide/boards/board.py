@@ -16,9 +16,9 @@ from pydantic import Field, model_validator
 
 from telewide.assets import find_asset, is_yaml, list_assets
 from telewide.errors import InputError, UsageError
-from telewide.files import read_yaml
 from telewide.geometry.arrays import FloatArray
 from telewide.options import Options, parse_options
+from telewide.yaml_files import read_yaml
 
 MAX_SQUARE_M = 0.2
 """Nobody prints larger squares; a larger number was meant in millimetres."""

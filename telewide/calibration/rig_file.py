@@ -20,9 +20,10 @@ from telewide.calibration.result import Calibration, CameraStd, TransformStd
 from telewide.calibration.rig_sheet import CameraSheet, CameraStdSheet, CheckSheet, QualitySheet, RigSheet, RigStdSheet
 from telewide.capture.exif import UPRIGHT_DEG
 from telewide.errors import InputError, UsageError
-from telewide.files import read_yaml, write_text
+from telewide.files import write_text
 from telewide.geometry.rig import Camera, StereoRig, rigid_transform
 from telewide.options import parse_options
+from telewide.yaml_files import read_yaml
 
 RIG_FILE = Path("rig.yaml")
 _ANOTHER_RIG = (

@@ -18,9 +18,9 @@ from typing import Literal
 from pydantic import ConfigDict, field_validator
 
 from telewide.errors import InputError
-from telewide.files import read_yaml
 from telewide.options import Options, parse_options
 from telewide.ranges import MAX_ASYMMETRY, MAX_BASELINE_M, MAX_CENTRE_SIDES, MAX_FOCAL_SIDES, MAX_SIDE_PX
+from telewide.yaml_files import read_yaml
 
 FACTS_FILE = "captures.yaml"
 WideSide = Literal["right", "left"]

@@ -1,53 +1,39 @@
-"""Read and write pictures and disparity maps.
+"""Read and write pictures.
 
 Every picture in memory is (H, W, 3) RGB float32 in [0, 1], sRGB-encoded, upright (EXIF orientation applied). Read are
 JPEG, WebP, AVIF, PNG and TIFF with 8 or 16 bits per channel, HEIC (8 bits, with the extra ``heif``), DNG and other RAW
 (exposure and tone: see `telewide.capture.raw`); very large ones at half their size (`telewide.capture.sizes`). Grey,
 palette, alpha and CMYK become RGB. An embedded colour profile other than sRGB is converted (8 bit) or named in a
 warning (16 bit).
-PFM: rows from bottom to top, little endian, +inf for unknown on disk, NaN in memory.
 Letters: H W image.
 """
 
 from __future__ import annotations
 
-import logging
-import math
 import warnings
-import zlib
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageCms, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
+from telewide.capture.colour_profiles import srgb_from_photo, warn_unless_srgb
+from telewide.capture.deep_images import decode_deep_png, decode_deep_tiff
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
 from telewide.capture.jpeg import has_too_many_scans
 from telewide.capture.pillow_photos import open_photo
 from telewide.capture.raw import develop, show_as_srgb
-from telewide.capture.sizes import check_size, halved, is_read_halved, say_halved
+from telewide.capture.sizes import Samples, at_read_size, is_read_halved
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
-from telewide.ranges import MAX_PIXELS, MAX_SCANS
+from telewide.ranges import MAX_SCANS
 
-if TYPE_CHECKING:
-    import tifffile
-
-Samples = NDArray[np.integer]
-
-_TAG_ORIENTATION, _TAG_ICC = 274, 34675
+_TAG_ORIENTATION = 274
 _ORIENTATION_OF_TURN = {0: 1, 90: 6, 180: 3, 270: 8}  # CIPA DC-008, by degrees clockwise
-# A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
-_SRGB_TOLERANCE = 2
-_MAX_CHANNELS = 4
-# TIFF compressions whose length is bounded by what they are decoded to: none, PackBits; deflate is checked.
-_DEFLATE, _DECODED_HERE = {8, 32946}, {1, 8, 32773, 32946}
-_log = logging.getLogger("telewide")
 
 
 def read_image(path: Path) -> FloatImage:
@@ -136,52 +122,6 @@ def write_png16(path: Path, values: NDArray[np.uint16]) -> None:
     _write_encoded(path, values, [])
 
 
-def read_pfm(path: Path) -> FloatImage:
-    """Read a disparity map from a PFM file.
-
-    The scale in the header gives the byte order alone: Middlebury's files do not want it multiplied in.
-
-    Args:
-        path: a one-channel PFM.
-
-    Returns:
-        (H, W) float32, px; NaN where the file has infinity or NaN.
-
-    Raises:
-        UsageError: there is no such file.
-        InputError: not a PFM, three channels, or cut off.
-    """
-    data = read_bytes(path)
-    kind, *header = data.split(b"\n", 3)
-    if kind.strip() != b"Pf":
-        found = "a PFM with three channels" if kind.strip() == b"PF" else "no PFM"
-        raise InputError(f"{path} is {found}; a one-channel PFM (it begins with Pf) was expected")
-    try:
-        size, scale_text, body = header
-        width, height = (int(number) for number in size.split())
-        scale = float(scale_text)
-    except ValueError as error:
-        raise InputError(f"{path} has a broken PFM header: width and height, then the scale were expected") from error
-    expected = width * height * 4
-    if width < 1 or height < 1 or len(body) != expected:
-        raise InputError(f"{path} holds {len(body)} bytes of values; {width} x {height} floats need {expected}")
-    values = np.frombuffer(body, dtype="<f4" if scale < 0 else ">f4").reshape(height, width)[::-1]
-    return np.where(np.isfinite(values), values, np.float32(np.nan)).astype(np.float32)
-
-
-def write_pfm(path: Path, disparity: FloatImage) -> None:
-    """Write a disparity map as PFM: little endian, bottom row first, NaN as +inf; whole or not at all.
-
-    Args:
-        path: the file.
-        disparity: (H, W) float32, px; NaN where unknown.
-    """
-    height, width = disparity.shape
-    values = np.where(np.isnan(disparity), np.inf, disparity)[::-1].astype("<f4")
-    with replacing(path) as temporary:
-        temporary.write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + values.tobytes())
-
-
 def resize_bicubic(image: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
     """Resize by Keys' cubic convolution (a = -0.5), antialiased where it shrinks.
 
@@ -225,7 +165,7 @@ def _reason(error: Exception) -> str:
 def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
     """Return the samples, in the size a photo is read in, as sRGB, and the EXIF orientation still to be applied."""
     if kind == "TIFF":
-        deep = _decode_deep_tiff(path, data)
+        deep = decode_deep_tiff(path, data)
         if deep is not None:
             return deep
     if kind == "JPEG" and has_too_many_scans(data):
@@ -239,157 +179,12 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
         orientation = int(photo.getexif().get(_TAG_ORIENTATION, 1) or 1)
         # Byte 24 of a PNG is the bit depth; Pillow would cut 16-bit colour down to 8.
         if photo.format == "PNG" and data[24] == 16:
-            _warn_unless_srgb(path, photo.info.get("icc_profile"))
-            return _at_read_size(path, _decode_deep_png(path, data), hw), orientation
-        shown = _srgb_from_photo(path, photo)
+            warn_unless_srgb(path, photo.info.get("icc_profile"))
+            return at_read_size(path, decode_deep_png(path, data), hw), orientation
+        shown = srgb_from_photo(path, photo)
         if is_read_halved(hw) and (shown.height, shown.width) == hw:
             shown = shown.reduce(2)  # before numpy holds it too
-        return _at_read_size(path, np.asarray(shown), hw), orientation
-
-
-def _at_read_size(path: Path, samples: Samples, hw: tuple[int, int]) -> Samples:
-    """Halve what is read halved, unless its decoder has done so."""
-    if not is_read_halved(hw):
-        return samples
-    say_halved(path, hw)
-    return halved(samples) if samples.shape[:2] == hw else samples
-
-
-def _decode_deep_png(path: Path, data: bytes) -> Samples:
-    samples = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if samples is None or samples.dtype != np.uint16:
-        raise InputError(f"{path} is a 16-bit PNG that cannot be decoded")
-    if samples.ndim == 2:
-        return np.asarray(samples, dtype=np.uint16)
-    return np.asarray(samples[..., [2, 1, 0]], dtype=np.uint16)
-
-
-def _decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
-    """Decode a 16-bit TIFF; None leaves an 8-bit one to Pillow."""
-    import tifffile
-
-    with tifffile.TiffFile(BytesIO(data)) as tiff:
-        page = tiff.pages.first
-        if page.dtype is None or page.dtype.kind not in "bu" or page.dtype.itemsize > 2:
-            raise InputError(f"{path} has values of type {page.dtype}; TIFF with 8 or 16 bits per channel is read")
-        if page.dtype != np.uint16:
-            return None
-        hw = (int(page.imagelength), int(page.imagewidth))
-        check_size(path, hw)
-        if math.prod(page.shape) > _MAX_CHANNELS * math.prod(hw):
-            raise InputError(f"{path} states {' x '.join(map(str, page.shape))} values; one photo was expected")
-        samples = _page_samples(path, data, page)
-        axes, is_negative = page.axes, page.photometric == tifffile.PHOTOMETRIC.MINISWHITE
-        orientation = page.tags.valueof(_TAG_ORIENTATION, default=1)
-        profile = page.tags.valueof(_TAG_ICC)
-    if axes not in {"YX", "YXS", "SYX"} or samples.ndim != len(axes) or samples.size == 0:
-        raise InputError(f"{path} is a TIFF with the axes {axes}; one photo was expected")
-    _warn_unless_srgb(path, profile)
-    if axes == "SYX":
-        samples = np.moveaxis(samples, 0, -1)
-    samples = _at_read_size(path, samples, hw)
-    return (65535 - samples if is_negative else samples), int(orientation)
-
-
-def _page_samples(path: Path, data: bytes, page: tifffile.TiffPage) -> Samples:
-    """Decode one page: by tifffile, or by OpenCV the compressions tifffile needs another package for (LZW)."""
-    if page.compression in _DEFLATE:
-        _check_segments(data, page)
-    if page.compression in _DECODED_HERE:
-        try:
-            return np.asarray(page.asarray(), dtype=np.uint16)
-        except ValueError as error:
-            if "imagecodecs" not in str(error):
-                raise
-    # OpenCV fails on turned pictures: it is shown a copy whose orientation says upright.
-    upright = bytearray(data)
-    tag = page.tags.get(_TAG_ORIENTATION)
-    if tag is not None:
-        upright[tag.valueoffset : tag.valueoffset + 2] = (1).to_bytes(2, "big" if data[:2] == b"MM" else "little")
-    stored = cv2.imdecode(np.frombuffer(upright, np.uint8), cv2.IMREAD_UNCHANGED)
-    if stored is None or stored.dtype != np.uint16 or page.axes == "SYX" or page.photometric not in {1, 2}:
-        raise InputError(
-            f"{path} is a 16-bit TIFF whose compression (number {int(page.compression)}) is not read",
-            hint="save it without compression, or as PNG",
-        )
-    return np.asarray(stored if stored.ndim == 2 else stored[..., [2, 1, 0]], dtype=np.uint16)
-
-
-def _check_segments(data: bytes, page: tifffile.TiffPage) -> None:
-    """Refuse strips and tiles that decompress to more than they should hold: a thousand times their length."""
-    if page.is_tiled:
-        pixels = page.tilelength * page.tilewidth
-    else:
-        pixels = min(page.rowsperstrip, page.imagelength) * page.imagewidth
-    most = min(pixels, MAX_PIXELS) * _MAX_CHANNELS * 2
-    for offset, length in zip(page.dataoffsets, page.databytecounts, strict=False):
-        if len(zlib.decompressobj().decompress(data[offset : offset + length], most + 1)) > most:
-            raise ValueError("a part of it decompresses to more than it should hold")
-
-
-def _srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
-    """Drop alpha, expand palettes, convert the embedded profile to sRGB."""
-    profile = photo.info.get("icc_profile")
-    if photo.mode in {"P", "PA"}:
-        photo = photo.convert("RGBA" if "transparency" in photo.info or photo.mode == "PA" else "RGB")
-    if photo.mode in {"RGBA", "LA"}:
-        if photo.getchannel("A").getextrema()[0] != 255:
-            _log.warning("%s has transparent pixels; they are read as opaque", path)
-        photo = photo.convert(photo.mode[:-1])
-    elif photo.mode not in {"L", "RGB", "CMYK"}:
-        photo = photo.convert("L" if photo.mode == "1" else "RGB")
-    if profile:
-        photo = _apply_profile(path, photo, profile)
-    return photo if photo.mode == "RGB" else photo.convert("RGB")  # which copies
-
-
-def _apply_profile(path: Path, photo: Image.Image, profile_bytes: bytes) -> Image.Image:
-    try:
-        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
-        if profile.profile.xcolor_space.strip() == "RGB":
-            photo = photo.convert("RGB")
-            if _is_srgb(profile):
-                return photo
-        transform = _srgb_transform(profile, photo.mode)
-        converted = ImageCms.applyTransform(photo, transform)
-    except (ImageCms.PyCMSError, OSError, ValueError) as error:
-        _log.warning("%s: its colour profile cannot be used (%s); the colours are read as sRGB", path, error)
-        return photo
-    return photo if converted is None else converted
-
-
-def _srgb_transform(profile: ImageCms.ImageCmsProfile, mode: str) -> ImageCms.ImageCmsTransform:
-    return ImageCms.buildTransform(
-        profile,
-        ImageCms.createProfile("sRGB"),
-        mode,
-        "RGB",
-        renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
-        flags=ImageCms.Flags.BLACKPOINTCOMPENSATION,
-    )
-
-
-def _is_srgb(profile: ImageCms.ImageCmsProfile) -> bool:
-    """Tell by what the profile does to a grid of colours: names such as "sRGB IEC61966-2.1" come in dozens."""
-    steps = np.linspace(0, 255, 9).round().astype(np.uint8)
-    colours = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(27, 27, 3)
-    converted = ImageCms.applyTransform(Image.fromarray(colours), _srgb_transform(profile, "RGB"))
-    change = np.abs(np.asarray(converted, dtype=np.int16) - colours.astype(np.int16))
-    return int(change.max()) <= _SRGB_TOLERANCE
-
-
-def _warn_unless_srgb(path: Path, profile_bytes: object) -> None:
-    """Warn of a profile that is not converted: Pillow's colour conversion has 8 bits."""
-    if not isinstance(profile_bytes, bytes):
-        return
-    try:
-        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
-        name = ImageCms.getProfileDescription(profile).strip()
-        if profile.profile.xcolor_space.strip() == "RGB" and _is_srgb(profile):
-            return
-    except (ImageCms.PyCMSError, OSError, ValueError) as error:
-        name = f"unreadable: {error}"
-    _log.warning("%s has the colour profile %r; 16-bit colours are not converted but read as sRGB", path, name)
+        return at_read_size(path, np.asarray(shown), hw), orientation
 
 
 def _three_channels(samples: Samples) -> Samples:

@@ -17,8 +17,9 @@ import numpy as np
 
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.facts import CaptureFacts, read_facts
-from telewide.capture.images import read_image, read_pfm, resize_bicubic
+from telewide.capture.images import read_image, resize_bicubic
 from telewide.capture.layout import Capture, CaptureSet, Problem, find_captures
+from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError
 from telewide.geometry.arrays import BoolMap, FloatImage
 from telewide.geometry.stereo import ValidMasks

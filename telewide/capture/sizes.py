@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from telewide.errors import InputError
 from telewide.ranges import MAX_PIXELS
 
+Samples = NDArray[np.integer]
+"""A picture as decoded, (H, W) or (H, W, C) of 8 or 16 bits."""
 MAX_WHOLE_PIXELS = 1 << 26
 _log = logging.getLogger("telewide")
 
@@ -60,7 +62,7 @@ def read_hw(hw: tuple[int, int]) -> tuple[int, int]:
     return ((hw[0] + 1) // 2, (hw[1] + 1) // 2) if is_read_halved(hw) else hw
 
 
-def halved(samples: NDArray[np.integer]) -> NDArray[np.integer]:
+def halved(samples: Samples) -> Samples:
     """Halve a picture by the mean of 2 x 2 pixels: ``x' = (x + 0.5) / 2 - 0.5``, as JPEG decoders shrink.
 
     Args:
@@ -87,3 +89,17 @@ def say_halved(path: Path, hw: tuple[int, int]) -> None:
         hw: height and width as stored, px.
     """
     _log.warning("%s has %d megapixels: it is read, and its depth written, at half its size", path, hw[0] * hw[1] / 1e6)
+
+
+def at_read_size(path: Path, samples: Samples, hw: tuple[int, int]) -> Samples:
+    """Halve what is read halved, unless its decoder has done so; say so once a photo.
+
+    Args:
+        path: the photo, to be named.
+        samples: (H, W) or (H, W, C), as decoded.
+        hw: height and width as stored, px.
+    """
+    if not is_read_halved(hw):
+        return samples
+    say_halved(path, hw)
+    return halved(samples) if samples.shape[:2] == hw else samples

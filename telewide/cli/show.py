@@ -20,8 +20,8 @@ def show(
 ) -> None:
     """Print a rig for people: lenses, their distance, how sure each number is, and what the rig is worth."""
     from telewide.calibration.rig_file import read_rig
-    from telewide.files import read_yaml
     from telewide.pages.rig_text import rig_lines
+    from telewide.yaml_files import read_yaml
 
     stored = read_rig(rig)
     if as_json:

@@ -16,7 +16,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.capture.images import write_image, write_pfm, write_png16
+from telewide.capture.images import write_image, write_png16
+from telewide.capture.pfm import write_pfm
 from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult
 from telewide.errors import InputError

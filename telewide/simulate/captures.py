@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from telewide.capture.facts import FACTS_FILE
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
+from telewide.capture.pfm import write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
 from telewide.geometry.arrays import FloatImage, FloatMap

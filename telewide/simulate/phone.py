@@ -18,7 +18,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
+from telewide.capture.pfm import write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
 from telewide.geometry.arrays import FloatArray, FloatMap

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
+from telewide.capture.pfm import write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
 from telewide.geometry.arrays import FloatArray, FloatImage, FloatMap

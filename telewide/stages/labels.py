@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.exif import read_photo_facts
-from telewide.capture.images import read_pfm, write_pfm
 from telewide.capture.pair import RectifiedPair, read_pair
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.semiglobal import match_semiglobal

@@ -1,11 +1,5 @@
 """From captures to corrected pairs: read, measure, correct, and keep the result in the run folder.
 
-    run/pairs/<name>/{tele,wide}.png   corrected pair at the working size
-    run/pairs/<name>/pair.json         what was measured, and from which files it was made
-    run/pairs/<name>/shot.json         with a rig: what moved in this shot
-    run/pairs/<name>/*_valid.png       with a rig: white where the tele and the wide photo reach
-    run/pairs/<name>/matches.npz       matches, in corrected coordinates: fitted to, and held out
-
 With a rig the photos are rectified first, corrected for what moved in this shot; without one they are taken for
 rectified. A pair whose files and options have not changed is not made again.
 """
@@ -18,13 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from telewide.calibration.rig_file import RIG_FILE, StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict, read_photo_facts
 from telewide.capture.facts import WideSide
-from telewide.capture.images import focal_length_mm, resize_bicubic, write_image
+from telewide.capture.images import focal_length_mm, resize_bicubic
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.mixed_sizes import check_sizes
 from telewide.capture.pair import (
@@ -48,36 +39,26 @@ from telewide.correction.verdict import (
     inspect_pair,
 )
 from telewide.errors import InputError, QualityError, TelewideError, UsageError, within_memory
-from telewide.files import changing, fingerprint, read_regular, replacing, write_text
+from telewide.files import changing, fingerprint, write_text
 from telewide.folders import refuse_links
 from telewide.matching.window import Window
-from telewide.npz import read_npz
-from telewide.points.held_out import HeldOut
 from telewide.points.matches import find_matches, photographed_matches
-from telewide.ranges import MAX_DISPARITY_PX, MAX_SIDE_PX
 from telewide.recipe import Recipe
 from telewide.records import as_read, read_record, write_record
 from telewide.stages.align import (
     Alignment,
     align_photos,
     alignment_as_json,
-    alignment_from_json,
-    plain_rig,
     read_shot_facts,
 )
 from telewide.stages.call import Call, alone
+from telewide.stages.kept_pairs import SHOT_NAME, files_of_pair, key_of, read_kept, write_pair
 from telewide.stages.pair_record import RECORD_NAME, ColourFigures, PairRecord
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line
-from telewide.training.samples import LABELS_NAME
 
-FORMAT = 7
-SHOT_NAME = "shot.json"
-MATCHES_NAME = "matches.npz"
-VALID_NAMES = ("tele_valid.png", "wide_valid.png")
-_MOST_BYTES_OF_MATCHES = 1 << 26
 _FOUND_ON_THE_LEFT = (
     "by the stated doffs_px all of it would lie behind the cameras, so wide is taken to stand to the left of tele; "
     "state wide_side: left in captures.yaml if that is so"
@@ -228,8 +209,8 @@ def _prepare_pair(
     folder = run.pairs / capture.name
     refuse_links(run.root, folder)
     rig = None if rig is None else _as_held(rig, capture)
-    key = _key_of(capture, facts, recipe, rig)
-    kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
+    key = key_of(capture, facts, recipe=recipe, rig=rig)
+    kept = read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is not None:
         return kept
     if rig is None and not facts.rectified:
@@ -249,7 +230,7 @@ def _prepare_pair(
     with changing(folder):
         # Whatever happens until the new record is written, the old one must not vouch for new files.
         (folder / RECORD_NAME).unlink(missing_ok=True)
-        _write_pair(folder, corrected)
+        write_pair(folder, corrected)
     blur = fit_blur(corrected.pair.tele, corrected.pair.wide, corrected.matches_fit)
     if alignment is not None:
         write_text(folder / SHOT_NAME, alignment_as_json(alignment))
@@ -261,10 +242,10 @@ def _prepare_pair(
         report=report,
         colour=ColourFigures(parts=colour.parts, delta_e_before=colour.delta_before, delta_e_after=colour.delta_after),
         blur=blur,
-        files_sha256={name: fingerprint(folder / name) for name in _files_of_pair(rig)},
+        files_sha256={name: fingerprint(folder / name) for name in files_of_pair(rig)},
     )
     write_record(folder / RECORD_NAME, record)
-    kept = _read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
+    kept = read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is None:
         raise InputError(f"{folder / 'pair.json'} was written and cannot be read back")
     return kept
@@ -377,91 +358,6 @@ def _rectified(
         seed=recipe.seed,
     )
     return (rectified.pair, alignment.geometry.scale), alignment
-
-
-def _write_pair(folder: Path, corrected: CorrectedPair) -> None:
-    write_image(folder / "tele.png", corrected.pair.tele)
-    write_image(folder / "wide.png", corrected.pair.wide)
-    if corrected.pair.valid is not None:
-        for name, mask in zip(VALID_NAMES, (corrected.pair.valid.ref, corrected.pair.valid.src), strict=True):
-            write_image(folder / name, mask.astype(np.float32))
-    with replacing(folder / MATCHES_NAME) as temporary:
-        np.savez(
-            temporary,
-            held_out_ref_px=corrected.matches_held_out.ref_px,
-            held_out_src_px=corrected.matches_held_out.src_px,
-            fitted_ref_px=corrected.matches_fit.ref_px,
-            fitted_src_px=corrected.matches_fit.src_px,
-        )
-    for entry in folder.iterdir():
-        if LABELS_NAME.fullmatch(entry.name):
-            entry.unlink()
-
-
-def _key_of(capture: Capture, facts: CaptureFacts, recipe: Recipe, rig: StoredRig | None) -> dict[str, object]:
-    """Key of all that a prepared pair depends on."""
-    return {
-        "format": FORMAT,
-        "tele_sha256": fingerprint(capture.tele_path),
-        "wide_sha256": fingerprint(capture.wide_path),
-        "facts": facts.model_dump(),
-        "rig": None if rig is None else plain_rig(rig.rig),
-        "correction": recipe.correction.model_dump(),
-        "working_width_px": recipe.working_width_px,
-        "seed": recipe.seed,
-    }
-
-
-def _read_kept(
-    capture: Capture, folder: Path, *, key: dict[str, object], recipe: Recipe, rig: StoredRig | None
-) -> PreparedPair | None:
-    """The pair as an earlier call left it; None where it is not there, is not whole, or is of something else."""
-    try:
-        record = read_record(folder / RECORD_NAME, PairRecord)
-        if record.key != as_read(key):
-            return None
-        if any(fingerprint(folder / name) != record.files_sha256[name] for name in _files_of_pair(rig)):
-            return None
-        report = record.report
-        if max(abs(report.disparity_p02_px), abs(report.disparity_p98_px)) > MAX_DISPARITY_PX:
-            raise ValueError("disparities of no pair")
-        ref_px, src_px = _read_held_out(folder / MATCHES_NAME)
-        alignment = None
-        if rig is not None:
-            text = read_regular(folder / SHOT_NAME).decode()
-            alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
-    except (TelewideError, ValueError, KeyError, ArithmeticError):  # damaged: it is made again
-        return None
-    valid_paths = None if rig is None else (folder / VALID_NAMES[0], folder / VALID_NAMES[1])
-    corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png", valid_paths=valid_paths)
-    held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
-    return PreparedPair(
-        source=capture,
-        capture=corrected,
-        report=report,
-        scale=record.scale,
-        held_out=held_out,
-        alignment=alignment,
-        blur=record.blur,
-        wide_side=record.wide_side,
-    )
-
-
-def _files_of_pair(rig: StoredRig | None) -> tuple[str, ...]:
-    """Names of the files that a record vouches for."""
-    return ("tele.png", "wide.png", MATCHES_NAME, *(() if rig is None else (SHOT_NAME, *VALID_NAMES)))
-
-
-def _read_held_out(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    stored = read_npz(path, ("held_out_ref_px", "held_out_src_px"), most_bytes=_MOST_BYTES_OF_MATCHES)
-    if any(points.dtype.kind != "f" for points in stored):
-        raise ValueError("matches that are no real numbers")
-    ref_px, src_px = (np.asarray(points, dtype=np.float64) for points in stored)
-    if ref_px.shape != src_px.shape or ref_px.ndim != 2 or ref_px.shape[1] != 2:
-        raise ValueError("matches are two times N points")
-    if not (np.abs(ref_px) <= MAX_SIDE_PX).all() or not (np.abs(src_px) <= MAX_SIDE_PX).all():
-        raise ValueError("matches that lie in no picture")
-    return ref_px, src_px
 
 
 def at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, float]:

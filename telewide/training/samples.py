@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.capture.images import read_pfm
 from telewide.capture.pair import Capture, PairReader, RectifiedPair
+from telewide.capture.pfm import read_pfm
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
 from telewide.geometry.stereo import ValidMasks
 

@@ -13,8 +13,9 @@ from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
 from telewide.benchmark.report import BenchmarkReport
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
-from telewide.capture.images import read_pfm, write_image
+from telewide.capture.images import write_image
 from telewide.capture.pair import find_captures
+from telewide.capture.pfm import read_pfm
 from telewide.cli.benchmark import benchmark_app
 from telewide.errors import UsageError
 from telewide.geometry.arrays import FloatMap

@@ -22,7 +22,8 @@ from telewide.benchmark.metres import (
     read_depths,
 )
 from telewide.benchmark.report import BenchmarkReport
-from telewide.capture.images import read_image, read_pfm, write_image, write_pfm
+from telewide.capture.images import read_image, write_image
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.cli import app
 from telewide.errors import UsageError
 from telewide.geometry.rig import StereoRig

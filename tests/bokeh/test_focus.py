@@ -9,7 +9,7 @@ import pytest
 
 from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.picture import BokehOptions, focus_note
-from telewide.capture.images import read_pfm
+from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.simulate.captures import write_captures

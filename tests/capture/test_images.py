@@ -15,14 +15,8 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image, ImageCms
 
-from telewide.capture.images import (
-    read_image,
-    read_pfm,
-    resize_bicubic,
-    write_image,
-    write_pfm,
-    write_png16,
-)
+from telewide.capture.images import read_image, resize_bicubic, write_image, write_png16
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.errors import InputError, UsageError
 
 # Colorants adapted to D50 as in the ICC files of the two spaces, columns R G B.

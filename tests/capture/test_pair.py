@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from telewide.capture.images import read_image, resize_bicubic, write_image, write_pfm
+from telewide.capture.images import read_image, resize_bicubic, write_image
 from telewide.capture.pair import Capture, CaptureFacts, PairReader, find_captures, read_pair, read_truth
+from telewide.capture.pfm import write_pfm
 from telewide.errors import InputError, UsageError
 
 

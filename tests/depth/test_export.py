@@ -11,7 +11,7 @@ import pytest
 from rigs import phone
 
 from telewide.capture.facts import CaptureFacts
-from telewide.capture.images import read_pfm
+from telewide.capture.pfm import read_pfm
 from telewide.depth.export import png_from_disparity, write_depth
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.geometry.arrays import FloatMap

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image, TiffImagePlugin
 
 from telewide.calibration.rig_file import StoredRig, read_rig
-from telewide.capture.images import read_pfm
 from telewide.capture.pair import find_captures
+from telewide.capture.pfm import read_pfm
 from telewide.cli import app
 from telewide.errors import InputError, UsageError
 from telewide.recipe import load_recipe

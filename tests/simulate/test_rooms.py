@@ -13,7 +13,8 @@ import pytest
 
 from telewide.boards.board import board_points_m, load_board
 from telewide.boards.detection import detect_board
-from telewide.capture.images import read_image, read_pfm
+from telewide.capture.images import read_image
+from telewide.capture.pfm import read_pfm
 from telewide.cli.app import app
 from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.arrays import FloatMap

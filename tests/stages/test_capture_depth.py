@@ -13,8 +13,9 @@ from PIL import Image, ImageOps
 from rig_worlds import phone_rig
 
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
-from telewide.capture.images import read_image, write_image, write_pfm
+from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts
+from telewide.capture.pfm import write_pfm
 from telewide.correction.moving import MovedRegion
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision

@@ -13,8 +13,9 @@ from rig_worlds import phone_rig, photos_of_a_plane
 
 import telewide.stages.prepare
 from telewide.calibration.rig_file import RigFacts, read_rig
-from telewide.capture.images import read_image, read_pfm, write_image
+from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import find_captures, read_pair
+from telewide.capture.pfm import read_pfm
 from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, QualityError
 from telewide.files import fingerprint

@@ -23,8 +23,8 @@ from training.small import Heard
 import telewide.stages.train
 import telewide.stages.training_log
 import telewide.stages.training_record
-from telewide.capture.images import read_pfm
 from telewide.capture.pair import find_captures
+from telewide.capture.pfm import read_pfm
 from telewide.cli import main
 from telewide.errors import UsageError
 from telewide.pipeline import depth_captures, train_captures

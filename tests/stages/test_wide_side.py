@@ -11,7 +11,8 @@ import pytest
 
 import telewide
 from telewide.capture.facts import CaptureFacts
-from telewide.capture.images import read_image, read_pfm, write_image, write_pfm
+from telewide.capture.images import read_image, write_image
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.cli import main
 from telewide.simulate.captures import write_captures
 

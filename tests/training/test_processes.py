@@ -14,7 +14,7 @@ import torch
 from training.joint_step import PRECISE, joint_gradients, precise_psmnet, short_training, stopped_training
 from training.small import WINDOW, rendered, source_of, write_pairs
 
-from telewide.capture.images import write_pfm
+from telewide.capture.pfm import write_pfm
 from telewide.files import fingerprint
 from telewide.matching.networks import NETWORKS
 from telewide.simulate.captures import write_captures

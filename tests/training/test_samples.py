@@ -12,8 +12,9 @@ import pytest
 import torch
 from training.small import CROP_HW, WINDOW, rendered, source_of, stage_of
 
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
 from telewide.capture.pair import Capture
+from telewide.capture.pfm import write_pfm
 from telewide.simulate.raycast import patterns
 from telewide.training import world_samples
 from telewide.training.data import StepBatches, iterate_batches

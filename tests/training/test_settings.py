@@ -15,8 +15,9 @@ from pydantic import ValidationError
 from torch.nn import functional
 from training.small import CPU, WINDOW, Heard, ScriptedJudge, source_of, stage_of, tensor_of, training_in, write_pairs
 
-from telewide.capture.images import read_image, write_image, write_pfm
+from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture
+from telewide.capture.pfm import write_pfm
 from telewide.errors import UsageError
 from telewide.matching.networks import NetworkOutput, standardise
 from telewide.simulate.degrade import shrink_and_enlarge

@@ -14,7 +14,7 @@ import numpy as np
 
 from telewide.benchmark.datasets.levels import read_view
 from telewide.benchmark.datasets.truth import StereoTruth, checked_truth, occluded_by_cross_check
-from telewide.capture.images import read_pfm
+from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.npz import read_npy

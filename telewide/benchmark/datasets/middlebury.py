@@ -18,7 +18,8 @@ import numpy as np
 from telewide.benchmark.datasets.levels import picture_path, read_levels, read_scaled_disparity, read_view
 from telewide.benchmark.datasets.truth import StereoTruth, checked_truth, occluded_by_cross_check
 from telewide.capture.facts import FACTS_FILE
-from telewide.capture.images import read_pfm, write_image, write_pfm
+from telewide.capture.images import write_image
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.errors import InputError, UsageError
 from telewide.files import write_text
 from telewide.geometry.arrays import BoolMap, FloatMap

@@ -19,9 +19,9 @@ from pydantic import Field
 from telewide.benchmark.datasets.catalogue import DATA_SETS, DataSet, Views, find_data_set, locate, missing_note
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.errors import InputError, UsageError, unknown_name
-from telewide.files import read_yaml
 from telewide.matching.window import Window
 from telewide.options import Options, parse_options
+from telewide.yaml_files import read_yaml
 
 PROTOCOLS_FILE = Path(__file__).with_name("protocols.yaml")
 _WINDOW_STEP_PX = 16

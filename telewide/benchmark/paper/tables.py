@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from telewide.errors import InputError, unknown_name
-from telewide.files import read_yaml
 from telewide.options import Options, parse_options
+from telewide.yaml_files import read_yaml
 
 TABLES_FILE = Path(__file__).with_name("tables.yaml")
 _NONE = "-"

@@ -14,7 +14,8 @@ from telewide.benchmark.datasets.light_fields import hci_scenes, inria_scenes, r
 from telewide.benchmark.datasets.middlebury import read_middlebury_2001, read_middlebury_2003, read_middlebury_2014
 from telewide.benchmark.datasets.own_captures import captures_with_truth, read_capture_with_truth
 from telewide.benchmark.datasets.truth import StereoTruth, occluded_by_cross_check
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
+from telewide.capture.pfm import write_pfm
 from telewide.errors import InputError, UsageError
 
 HW = (20, 32)

@@ -20,7 +20,8 @@ from telewide.benchmark.paper import systems as systems_module
 from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
 from telewide.benchmark.paper.systems import SYSTEMS, Matcher, System, Task, Tell, match_like_opencv
 from telewide.benchmark.paper.tables import Column, Published, Table
-from telewide.capture.images import read_image, write_image, write_pfm
+from telewide.capture.images import read_image, write_image
+from telewide.capture.pfm import write_pfm
 from telewide.cli.app import app
 from telewide.errors import InputError, UsageError
 from telewide.simulate.degrade import shrink_and_enlarge

@@ -1,0 +1,79 @@
+"""Embedded colour profiles: photos become sRGB, or a warning says that they do not."""
+
+from __future__ import annotations
+
+import logging
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageCms
+
+# A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
+_SRGB_TOLERANCE = 2
+_log = logging.getLogger("telewide")
+
+
+def srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
+    """Drop alpha, expand palettes, convert the embedded profile to sRGB."""
+    profile = photo.info.get("icc_profile")
+    if photo.mode in {"P", "PA"}:
+        photo = photo.convert("RGBA" if "transparency" in photo.info or photo.mode == "PA" else "RGB")
+    if photo.mode in {"RGBA", "LA"}:
+        if photo.getchannel("A").getextrema()[0] != 255:
+            _log.warning("%s has transparent pixels; they are read as opaque", path)
+        photo = photo.convert(photo.mode[:-1])
+    elif photo.mode not in {"L", "RGB", "CMYK"}:
+        photo = photo.convert("L" if photo.mode == "1" else "RGB")
+    if profile:
+        photo = _apply_profile(path, photo, profile)
+    return photo if photo.mode == "RGB" else photo.convert("RGB")  # which copies
+
+
+def _apply_profile(path: Path, photo: Image.Image, profile_bytes: bytes) -> Image.Image:
+    try:
+        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
+        if profile.profile.xcolor_space.strip() == "RGB":
+            photo = photo.convert("RGB")
+            if _is_srgb(profile):
+                return photo
+        transform = _srgb_transform(profile, photo.mode)
+        converted = ImageCms.applyTransform(photo, transform)
+    except (ImageCms.PyCMSError, OSError, ValueError) as error:
+        _log.warning("%s: its colour profile cannot be used (%s); the colours are read as sRGB", path, error)
+        return photo
+    return photo if converted is None else converted
+
+
+def _srgb_transform(profile: ImageCms.ImageCmsProfile, mode: str) -> ImageCms.ImageCmsTransform:
+    return ImageCms.buildTransform(
+        profile,
+        ImageCms.createProfile("sRGB"),
+        mode,
+        "RGB",
+        renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
+        flags=ImageCms.Flags.BLACKPOINTCOMPENSATION,
+    )
+
+
+def _is_srgb(profile: ImageCms.ImageCmsProfile) -> bool:
+    """Tell by what the profile does to a grid of colours: names such as "sRGB IEC61966-2.1" come in dozens."""
+    steps = np.linspace(0, 255, 9).round().astype(np.uint8)
+    colours = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(27, 27, 3)
+    converted = ImageCms.applyTransform(Image.fromarray(colours), _srgb_transform(profile, "RGB"))
+    change = np.abs(np.asarray(converted, dtype=np.int16) - colours.astype(np.int16))
+    return int(change.max()) <= _SRGB_TOLERANCE
+
+
+def warn_unless_srgb(path: Path, profile_bytes: object) -> None:
+    """Warn of a profile that is not converted: Pillow's colour conversion has 8 bits."""
+    if not isinstance(profile_bytes, bytes):
+        return
+    try:
+        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
+        name = ImageCms.getProfileDescription(profile).strip()
+        if profile.profile.xcolor_space.strip() == "RGB" and _is_srgb(profile):
+            return
+    except (ImageCms.PyCMSError, OSError, ValueError) as error:
+        name = f"unreadable: {error}"
+    _log.warning("%s has the colour profile %r; 16-bit colours are not converted but read as sRGB", path, name)
