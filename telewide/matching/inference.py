@@ -170,7 +170,7 @@ def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window
     height, width = ref.shape[-2:]
     ref, src = (pad_to_multiple(view, multiple=GRID_PX) for view in (ref, src))
     with low_precision(ref.device):
-        output = network(ref, src, window)
+        output = network.match_in_scales(ref, src, window)
     gap_px = left_right_gap_px(output, window)
     heads = output.heads_BCHW
     confidence, hidden = measured_confidence(output, gap_px) if heads is None else learned_confidence(heads)

@@ -13,9 +13,10 @@ from typing import cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from telewide.errors import UsageError
-from telewide.matching.guided import GuidedFeatures, GuidedMatching
+from telewide.matching.guided import Coarser, GuidedFeatures, GuidedMatching
 from telewide.matching.iresnet import IresnetFeatures, IresnetMatching, initialise_iresnet
 from telewide.matching.lite import LiteFeatures, LiteMatching
 from telewide.matching.psmnet import PsmnetFeatures, PsmnetMatching, initialise_psmnet
@@ -25,10 +26,12 @@ from telewide.matching.psmnet_full import (
     PublishedPsmnetFeatures,
     load_published_psmnet,
 )
-from telewide.matching.window import Window
+from telewide.matching.window import VOLUME_STEP_PX, Window, halved_window
 
 SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
+SCALES = 2
+"""In which a network that can matches: full size, and half."""
 WIDEST_CONTEXT_PX = 320
 """Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
 PSMNET_CONTEXT_PX = 768
@@ -78,15 +81,40 @@ class StereoNetwork(nn.Module):
         self.matching = matching
         self.context_px = context_px
 
-    def forward(self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> NetworkOutput:
+    def forward(
+        self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window, *, coarser: Coarser | None = None
+    ) -> NetworkOutput:
         """Match two standardised views (B, 3, H, W) whose sides are multiples of ``SIZE_MULTIPLE_PX``."""
         # One pass over both views: half the launches, and batch statistics over both.
         maps = self.features(torch.cat((ref_BCHW, src_BCHW)).contiguous(memory_format=torch.channels_last))
         batch = ref_BCHW.shape[0]
         ref = tuple(m[:batch] for m in maps)
         src = tuple(m[batch:] for m in maps)
-        disparities_px, logits, *heads = self.matching(ref, src, window)
+        aid = {} if coarser is None else {"coarser": coarser}
+        disparities_px, logits, *heads = self.matching(ref, src, window, **aid)
         return NetworkOutput(disparities_px, logits, heads[0] if heads else None)
+
+    def match_in_scales(
+        self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window, *, scales: int = SCALES
+    ) -> NetworkOutput:
+        """Match two standardised views, first at a smaller size, where what is plain is seen as a whole.
+
+        Networks that cannot take up another match do it at once.
+
+        Args:
+            ref_BCHW: (B, 3, H, W), whose sides are multiples of ``SIZE_MULTIPLE_PX`` times 2 for each further scale.
+            src_BCHW: likewise.
+            window: disparities ``[d_min, d_max)``, px.
+            scales: how many, each half as large as the one before.
+        """
+        if scales == 1 or not isinstance(self.matching, GuidedMatching):
+            return cast(NetworkOutput, self(ref_BCHW, src_BCHW, window))
+        ref_half, src_half = (functional.avg_pool2d(view, 2) for view in (ref_BCHW, src_BCHW))
+        half = self.match_in_scales(ref_half, src_half, halved_window(window), scales=scales - 1)
+        heads = cast(Tensor, half.heads_BCHW)
+        maps = 2 * half.disparity_px.float(), heads[:, 0].sigmoid()
+        on_cells = (functional.avg_pool2d(map_[:, None], VOLUME_STEP_PX // 2)[:, 0] for map_ in maps)
+        return cast(NetworkOutput, self(ref_BCHW, src_BCHW, window, coarser=Coarser(*on_cells)))
 
 
 def standardise(image_BCHW: Tensor) -> Tensor:

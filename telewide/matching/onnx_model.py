@@ -51,7 +51,8 @@ class OnnxNetwork(nn.Module):
         """
         height, width = ref_BCHW.shape[-2:]
         views = (prepare_view(self.network.features, view) for view in (ref_BCHW, src_BCHW))
-        output = self.network(*(pad_to_multiple(view, multiple=GRID_PX) for view in views), self.window)
+        ref, src = (pad_to_multiple(view, multiple=GRID_PX) for view in views)
+        output = self.network.match_in_scales(ref, src, self.window)
         if output.heads_BCHW is None:
             confidence, hidden = measured_confidence(output, left_right_gap_px(output, self.window))
         else:

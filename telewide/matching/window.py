@@ -49,6 +49,12 @@ def widened_window(window: Window, *, planes: int) -> Window:
     return window[0] // span_px * span_px, -(-window[1] // span_px) * span_px
 
 
+def halved_window(window: Window) -> Window:
+    """The narrowest window that holds those disparities at half of the size."""
+    span_px = 2 * VOLUME_STEP_PX
+    return window[0] // span_px * VOLUME_STEP_PX, -(-window[1] // span_px) * VOLUME_STEP_PX
+
+
 def within_width(window: Window, width_px: int) -> Window:
     """The part of a window that a picture of this width can show: src has no column farther away.
 

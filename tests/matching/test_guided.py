@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from telewide.matching.guided import Coarser
 from telewide.matching.inference import full_precision
 from telewide.matching.networks import NetworkOutput, StereoNetwork, build_network, standardise
 from telewide.matching.window import Window
@@ -70,3 +71,65 @@ def test_coarse_disparities_are_for_training_alone() -> None:
         used = network.eval()(*views(64, 96), (0, 32))
     assert len(used.disparities_px) == 1
     assert len(taught.disparities_px) == 5
+
+
+def unsure_network(sure_logit: float) -> StereoNetwork:
+    """An untrained network, whose updates change nothing, with a confidence of its own."""
+    network = build_network("guided").eval()
+    with torch.no_grad():
+        heads = network.matching.half_heads
+        heads.weight.zero_()
+        heads.bias.copy_(torch.tensor([sure_logit, 0.0]))
+        for residual in (network.matching.update.residual[-1], network.matching.half_residual):
+            residual.bias.zero_()
+    return network
+
+
+@pytest.mark.parametrize(
+    ("own_logit", "coarser_px", "coarser_confidence", "is_taken"),
+    [(-4.0, 60.0, 0.9, True), (-4.0, 60.0, 0.1, False), (4.0, 60.0, 1.0, False)],
+)
+def test_a_surer_coarser_match_is_the_guess(
+    own_logit: float, coarser_px: float, coarser_confidence: float, is_taken: bool
+) -> None:
+    """Of a constant guess that no update changes, every upsampling is that constant."""
+    network = unsure_network(own_logit)
+    coarser = Coarser(*(torch.full((1, 16, 24), value) for value in (coarser_px, coarser_confidence)))
+    with torch.inference_mode(), full_precision():
+        alone, guided = (network(*views(64, 96), (0, 32), coarser=aid) for aid in (None, coarser))
+    expected_px = torch.full_like(alone.disparity_px, coarser_px) if is_taken else alone.disparity_px
+    torch.testing.assert_close(guided.disparity_px, expected_px)
+    torch.testing.assert_close(guided.logits_BDHW, alone.logits_BDHW)
+
+
+@pytest.mark.parametrize(("apart_px", "is_taken"), [(2.9, False), (3.1, True)])
+def test_a_guess_near_the_own_one_changes_nothing(apart_px: float, is_taken: bool) -> None:
+    """The window has one plane, at 0 px, so that is the own guess everywhere."""
+    network = unsure_network(-4.0)
+    coarser = Coarser(torch.full((1, 16, 24), apart_px), torch.ones(1, 16, 24))
+    with torch.inference_mode(), full_precision():
+        found = network(*views(64, 96), (0, 4), coarser=coarser)
+    torch.testing.assert_close(found.disparity_px, torch.full((1, 64, 96), apart_px if is_taken else 0.0))
+
+
+@pytest.mark.parametrize("scales", [2, 3])
+def test_smaller_sizes_say_what_half_the_views_do(scales: int) -> None:
+    """Half of the size is the same network on views averaged by twos, its disparities doubled, and so on."""
+    network = network_with_all_branches("guided")
+    ref, src = views(128, 192)
+    halves = [torch.nn.functional.avg_pool2d(view, 2) for view in (ref, src)]
+    with torch.inference_mode(), full_precision():
+        half = network.match_in_scales(*halves, (-4, 24), scales=scales - 1)
+        heads = half.heads_BCHW
+        assert heads is not None
+        cells = (2 * half.disparity_px, heads[:, 0].sigmoid())
+        coarser = Coarser(*(torch.nn.functional.avg_pool2d(map_[:, None], 2)[:, 0] for map_ in cells))
+        assert_same(
+            network.match_in_scales(ref, src, (-8, 44), scales=scales), network(ref, src, (-8, 44), coarser=coarser)
+        )
+
+
+def test_a_network_that_takes_up_no_match_makes_its_own() -> None:
+    network = network_with_all_branches("lite")
+    with torch.inference_mode(), full_precision():
+        assert_same(network.match_in_scales(*views(64, 96), (0, 32)), network(*views(64, 96), (0, 32)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from telewide.errors import InputError
-from telewide.matching.window import Window, within_width
+from telewide.matching.window import Window, check_window, halved_window, within_width
 
 
 @pytest.mark.parametrize(
@@ -24,3 +24,12 @@ def test_no_disparity_is_searched_beyond_the_picture(window: Window, width_px: i
 def test_a_window_that_lies_beyond_the_picture_is_refused() -> None:
     with pytest.raises(InputError, match="4096 to 8192 px are to be searched in pictures 128 px wide"):
         within_width((4096, 8192), 128)
+
+
+@pytest.mark.parametrize("window", [(0, 4), (-4, 20), (-12, -4), (4, 44), (8, 64)])
+def test_half_a_window_holds_half_its_disparities(window: Window) -> None:
+    d_min, d_max = halved_window(window)
+    assert 2 * d_min <= window[0]
+    assert window[1] <= 2 * d_max
+    assert (d_max - d_min) * 2 <= window[1] - window[0] + 12
+    check_window((d_min, d_max))
