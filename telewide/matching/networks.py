@@ -30,8 +30,8 @@ from telewide.matching.window import VOLUME_STEP_PX, Window, halved_window
 
 SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
-SCALES = 2
-"""In which a network that can matches: full size, and half."""
+SCALES = 3
+"""In which a network that can matches: full size, half and a quarter."""
 WIDEST_CONTEXT_PX = 320
 """Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
 PSMNET_CONTEXT_PX = 768
