@@ -220,7 +220,7 @@ def estimate_depth(
         >>> depth.disparity.disparity_px.shape == telewide.read_pair("examples/captures/000").tele.shape[:2]
         True
     """
-    method = method or ("sgm" if weights is None else "joint")
+    method = method or ("sgm" if weights is None else "network")
     recipe = recipe or load_recipe(DEFAULT_RECIPE)
     facts = facts or CaptureFacts(rectified=True if rig is None else None)
     shot = rectify(photos, rig=rig, facts=facts, recipe=recipe)
@@ -246,7 +246,7 @@ def _geometry(shot: CorrectedShot, rig: StoredRig | None, *, matcher: Matcher) -
     if shot.alignment is None or rig is None:
         return None
     precision = shot_precision(shot.alignment, of_set=[shot.alignment], rig=rig)
-    precision = replace(precision, is_match_known=matcher.is_confidence_measured)
+    precision = replace(precision, confidence_std=matcher.confidence_std)
     return ShotGeometry(shot.alignment.geometry, precision, shot.alignment.moved)
 
 

@@ -81,4 +81,4 @@ def test_a_folder_of_many_captures_is_refused(repo: Path) -> None:
 def test_a_network_needs_weights(repo: Path) -> None:
     photos = telewide.read_pair(repo / "examples" / "captures" / "000")
     with pytest.raises(UsageError, match="weights"):
-        telewide.estimate_depth(photos, method="joint")
+        telewide.estimate_depth(photos, method="network")

@@ -29,15 +29,14 @@ def semiglobal_contender() -> Matcher:
 
 
 def all_contenders(sources: Sequence[Path], *, device: Device) -> list[Matcher]:
-    """Semi-global matching, then every stage of every run in the order of training, and each run's result with both.
+    """Semi-global matching, then every stage of every run in the order of training, and its result.
 
     Args:
         sources: run folders and weights files.
         device: auto, cpu or cuda.
 
     Returns:
-        The contenders; the result of a run is named so, unless a stage before has the very weights. What
-        `telewide depth` computes ends in "+ sgm".
+        The contenders; the result of a run is named so, unless a stage before has the very weights.
 
     Raises:
         UsageError: a path that does not exist, or a run without weights.
@@ -66,10 +65,7 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Matcher]
     torch_device = choose_device(device)
     if source.is_file():
         network, card = load_weights(source, device=torch_device)
-        return [
-            _network_contender(label, network, card.searched_window),
-            _joint_contender(label, network, card.searched_window),
-        ]
+        return [_network_contender(label, network, card.searched_window)]
     run = RunFolder(source)
     result = run.weights
     # Hidden ones are being written by a training under way.
@@ -78,29 +74,18 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Matcher]
         raise UsageError(
             f"{source} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"
         )
-    together = []
     loaded = [(path.stem, *load_weights(path, device=torch_device)) for path in stages]
     if result.is_file():
         network, card = load_weights(result, device=torch_device)
         if not any(_is_equal(network, other) for _, other, _ in loaded):
             loaded.append(("result", network, card))
-        together = [_joint_contender(label, network, card.searched_window)]
-    return [
-        *(_network_contender(f"{label}/{stage}", network, card.searched_window) for stage, network, card in loaded),
-        *together,
-    ]
+    return [_network_contender(f"{label}/{stage}", network, card.searched_window) for stage, network, card in loaded]
 
 
 def _network_contender(name: str, network: StereoNetwork, window: Window | None) -> Matcher:
     from telewide.matching.inference import match_with_network
 
     return Matcher(name, partial(match_with_network, network=network), window)
-
-
-def _joint_contender(name: str, network: StereoNetwork, window: Window | None) -> Matcher:
-    from telewide.matching.joint import match_jointly
-
-    return Matcher(f"{name} + {SGM}", partial(match_jointly, network=network), window)
 
 
 def _position(path: Path) -> tuple[int, int, str]:

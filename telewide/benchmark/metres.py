@@ -105,7 +105,7 @@ class MeasuredDepths:
 
 
 def depth_makers(sources: Sequence[Path]) -> list[DepthMaker]:
-    """Semi-global matching, then the network of each source, alone and with it.
+    """Semi-global matching, then the network of each source.
 
     Args:
         sources: run folders and weights files.
@@ -118,7 +118,6 @@ def depth_makers(sources: Sequence[Path]) -> list[DepthMaker]:
         weights = source if source.is_file() else _weights_of(source)
         recipe = recipe_of_depth(weights.absolute().parents[1], source, weights=weights)
         makers.append(DepthMaker(label, "network", weights, recipe))
-        makers.append(DepthMaker(f"{label} + {SGM}", "joint", weights, recipe))
     return makers
 
 

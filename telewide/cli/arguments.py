@@ -14,7 +14,7 @@ from telewide.ranges import MAX_SEED
 
 DEFAULT_RIG = Path("rig.yaml")
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
-METHOD_HELP = "joint: network and semi-global matching; network: alone, faster; sgm: alone, without a network."
+METHOD_HELP = "network, or sgm: semi-global matching, without a network."
 MethodOption = Annotated[Method, typer.Option(help=METHOD_HELP)]
 RigOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Rig to rectify with. [default: rig.yaml by the captures or here]")

@@ -43,7 +43,7 @@ def depth(
         Path | None, typer.Option("--run", "--run-folder", help="Run folder of a training. [default: as train has it]")
     ] = None,
     weights: Annotated[Path | None, typer.Option(help="Weights file instead of a run's newest.")] = None,
-    method: MethodOption = "joint",
+    method: MethodOption = "network",
     bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,

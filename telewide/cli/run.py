@@ -49,7 +49,7 @@ def run_everything(
     from telewide.recipe import load_recipe
 
     options = depth_options(
-        method="joint",
+        method="network",
         weights=None,
         bokeh=bokeh_options(focus=focus, f_number=f_number, strength=strength),
         out=None,

@@ -23,14 +23,11 @@ import numpy as np
 
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import SEMIGLOBAL_STD, ConfidenceStd
 from telewide.points.robust import std_about_zero
 
-SURE_STD_PX = 0.16
-"""Standard deviation of a disparity of full confidence, px of the views that were matched."""
-UNSURE_STD_PX = 9.0
-"""That of a disparity of no confidence."""
 FILLED_STD_PX = 9.0
-"""That of a disparity that was not measured but filled in from beside it."""
+"""Standard deviation of a disparity that was not measured but filled in from beside it, px of the views matched."""
 USUAL_SHIFT_SHARE = 0.58 / 1280
 """Spread of the offsets of a phone's shots, of the photo's width: measured over 30 pairs of one model."""
 _USUAL_WEIGHT = 3.0  # as many shots the usual spread counts for
@@ -45,33 +42,30 @@ class DepthPrecision:
         f_std_px: of tele's focal length, px of the tele photo.
         lens_shift_std_px: of what shifts all disparities alike, px of the tele photo: the movement of the lenses along
             the baseline, and what the rig does not know of the zero of disparity.
-        is_match_known: whether the matcher's confidence tells how sure a disparity is, as that of semi-global matching
-            does; a network's own was never held against errors.
+        confidence_std: what the matcher's confidence says of a disparity; None where that was never measured.
     """
 
     baseline_std_m: float = 0.0
     f_std_px: float = 0.0
     lens_shift_std_px: float = 0.0
-    is_match_known: bool = True
+    confidence_std: ConfidenceStd | None = SEMIGLOBAL_STD
 
 
-def disparity_std_px(disparity: DisparityMap, *, scale: float = 1.0) -> FloatMap:
+def disparity_std_px(disparity: DisparityMap, *, of: ConfidenceStd, scale: float = 1.0) -> FloatMap:
     """Standard deviation of matched disparities, by their confidence.
 
-    ``s = SURE^c UNSURE^(1 - c)`` of the confidence c, and FILLED where the value was not measured. Fitted to the 68th
-    and 95th percentile of semi-global matching's errors in ten classes of confidence, on eight training scenes of
-    Middlebury 2006 with src as it is and with src three times coarser: both come to 0.2, 0.4, 0.9 and 1.5 px at
-    c = 0.95, 0.75, 0.55 and 0.35.
+    ``s = sure^c unsure^(1 - c)`` of the confidence c, and FILLED where the value was not measured.
 
     Args:
         disparity: (H, W) maps.
+        of: what full and no confidence mean.
         scale: px of the views that were matched for one px of these maps, at most 1 where they were matched smaller.
 
     Returns:
         (H, W) float32, px of the map.
     """
     confidence = np.clip(np.nan_to_num(disparity.confidence, nan=0.0), 0, 1)
-    measured_px = UNSURE_STD_PX * (SURE_STD_PX / UNSURE_STD_PX) ** confidence
+    measured_px = of.unsure_px * (of.sure_px / of.unsure_px) ** confidence
     return np.asarray(np.where(disparity.valid, measured_px, FILLED_STD_PX) / scale, dtype=np.float32)
 
 

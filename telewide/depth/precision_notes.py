@@ -98,11 +98,11 @@ def without_unknown_std(result: DepthResult, *, precision: DepthPrecision) -> tu
         result: of a shot with a rig.
         precision: of that shot.
     """
-    if precision.is_match_known or result.depth_std_m is None:
+    if precision.confidence_std is not None or result.depth_std_m is None:
         return result, ()
     told = (
-        f"{result.name}: no depth_std_m: how sure a network alone is of a disparity was never measured; `method` joint "
-        "or sgm states it"
+        f"{result.name}: no depth_std_m: how sure this network is of a disparity was never measured; `method` sgm "
+        "states it"
     )
     return replace(result, depth_std_m=None), (told,)
 

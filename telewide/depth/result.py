@@ -109,9 +109,10 @@ def depth_result_of_rig(
     if not rig.is_scale_known:
         return result
     depth_m = depth_from_disparity(disparity.disparity_px, f_px=f_px, baseline_m=rig.baseline_m)
+    of = precision.confidence_std
     std_m = depth_std_m(
         depth_m,
-        disparity_std_px(disparity, scale=matched_scale) if precision.is_match_known else np.zeros_like(depth_m),
+        np.zeros_like(depth_m) if of is None else disparity_std_px(disparity, of=of, scale=matched_scale),
         f_px=f_px,
         baseline_m=rig.baseline_m,
         precision=precision,

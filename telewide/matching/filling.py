@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from telewide.geometry.arrays import BoolMap, FloatMap
+from telewide.geometry.arrays import FloatMap
 
 _RADIUS_PX = 13
-_FEW = 0.3  # share of the surroundings below which a mean fades
 _EDGE_VARIANCE = 20.0  # colour variance, of 255 levels squared, above which the picture counts as having an edge
 
 
@@ -72,24 +71,6 @@ def weighted_median(
     is_near = (np.abs(disparity_px - median_px) < 1).astype(np.float32)
     fraction_px = smooth.filter(is_near * (disparity_px - median_px)) / np.maximum(smooth.filter(is_near), 0.5)
     return np.asarray(median_px + np.clip(fraction_px, -0.5, 0.5), dtype=np.float32)
-
-
-def guided_mean(values: FloatMap, guide_rgb: FloatMap, *, where: BoolMap, radius_px: int = _RADIUS_PX) -> FloatMap:
-    """Mean of the values around each pixel that count, weighted by likeness in the guide (guided filter).
-
-    Args:
-        values: (H, W) float32.
-        guide_rgb: (H, W, 3) float32, sRGB in [0, 1].
-        where: (H, W) bool, the values that count.
-        radius_px: radius of the surroundings, px.
-
-    Returns:
-        (H, W) float32; it fades to zero where few of the surroundings count.
-    """
-    smooth = guided_filter(guide_rgb, radius_px=radius_px, edge_variance=_EDGE_VARIANCE)
-    counts = where.astype(np.float32)
-    share = np.maximum(smooth.filter(counts), _FEW)
-    return np.asarray(smooth.filter(np.where(where, values, 0).astype(np.float32)) / share, dtype=np.float32)
 
 
 def guided_filter(guide_rgb: FloatMap, *, radius_px: int, edge_variance: float) -> cv2.ximgproc.GuidedFilter:

@@ -24,7 +24,7 @@ from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotogr
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
 from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
 from telewide.matching.sampling import pad_to_multiple
-from telewide.matching.window import VOLUME_STEP_PX, Window, check_window
+from telewide.matching.window import Window, check_window
 
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
@@ -97,6 +97,7 @@ def _seconds_to_convolve(*dtypes: torch.dtype) -> list[float]:
     return [min(trials[1:]) for trials in seconds]
 
 
+@torch.inference_mode()
 def match_with_network(
     ref: FloatImage,
     src: FloatImage,
@@ -108,34 +109,17 @@ def match_with_network(
 ) -> DisparityMap:
     """Match two views with a trained network, on the device its weights are on.
 
-    Arguments and errors as of :func:`match_with_volume`, whose map is returned. Where a photo does not reach (`valid`;
-    None where they fill the views) the network knows it no better, so nothing there counts as measured.
-    """
-    found = match_with_volume(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)[0]
-    return without_unphotographed(found, valid)
-
-
-@torch.inference_mode()
-def match_with_volume(
-    ref: FloatImage,
-    src: FloatImage,
-    *,
-    network: StereoNetwork,
-    window: Window,
-    max_tile_pixels: int = MAX_TILE_PIXELS,
-) -> tuple[DisparityMap, NDArray[np.float32]]:
-    """Match two views with a trained network, and keep what it holds likely.
-
     Args:
         ref: (H, W, 3) sharp view, [0, 1].
         src: (H, W, 3) other view of the same size.
         network: trained; put into eval mode.
         window: disparities ``[d_min, d_max)``, px.
+        valid: where the photos reach, of (H, W); None where they fill the views. The network knows it no better beyond,
+            so nothing there counts as measured.
         max_tile_pixels: larger images are computed in overlapping tiles of about this size.
 
     Returns:
-        Disparity everywhere (continued into what src does not see), confidence, and where both views agree; and
-        (D, ceil(H / 4), ceil(W / 4)) float32 the negative logarithm of each plane's probability.
+        Disparity everywhere (continued into what src does not see), confidence, and where both views agree.
 
     Raises:
         ValueError: the views differ in size, or the window does not fit the volume.
@@ -149,24 +133,15 @@ def match_with_volume(
     ref_BCHW, src_BCHW = (prepare_view(network.features, _tensor_from_image(view).to(device)) for view in (ref, src))
     disparity_px = np.empty(ref.shape[:2], np.float32)
     confidence, agrees = np.empty_like(disparity_px), np.empty(ref.shape[:2], np.bool_)
-    height, width = (-(-size // VOLUME_STEP_PX) for size in ref.shape[:2])
-    surprise = np.empty(((window[1] - window[0]) // VOLUME_STEP_PX, height, width), np.float32)
     for tile in _tiles(ref.shape[:2], window=window, context_px=network.context_px, max_pixels=max_tile_pixels):
-        *maps, volume = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
+        maps = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
         for whole, part in zip((disparity_px, confidence, agrees), maps, strict=True):
             whole[tile.inner] = part[tile.inner_of_outer].cpu().numpy()
-        cells, cells_of_outer = (tuple(map(_cells, slices)) for slices in (tile.inner, tile.inner_of_outer))
-        surprise[:, *cells] = volume[:, *cells_of_outer].cpu().numpy()
-    return DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px)), surprise
-
-
-def _cells(pixels: slice) -> slice:
-    """The cells of the volume that hold a span of pixels, which begins at one."""
-    return slice(pixels.start // VOLUME_STEP_PX, -(-pixels.stop // VOLUME_STEP_PX))
+    return without_unphotographed(DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px)), valid)
 
 
 def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window) -> tuple[Tensor, ...]:
-    """(H, W) disparity, confidence and agreement of one tile, and (D, H / 4, W / 4) surprise."""
+    """(H, W) disparity, confidence and agreement of one tile."""
     height, width = ref.shape[-2:]
     ref, src = (pad_to_multiple(view, multiple=GRID_PX) for view in (ref, src))
     with low_precision(ref.device):
@@ -176,8 +151,7 @@ def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window
     confidence, hidden = measured_confidence(output, gap_px) if heads is None else learned_confidence(heads)
     is_seen = (gap_px < AGREEMENT_PX) & (hidden < 0.5)
     cut = (0, slice(height), slice(width))
-    surprise = -output.logits_BDHW[0].float().log_softmax(dim=0)
-    return output.disparity_px.float()[cut], confidence[cut], is_seen[cut], surprise
+    return output.disparity_px.float()[cut], confidence[cut], is_seen[cut]
 
 
 def _falls_inside(disparity_px: FloatImage) -> NDArray[np.bool_]:

@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.window import Window
+
+
+class ConfidenceStd(NamedTuple):
+    """Meaning of confidences: the standard deviation of a disparity of full and of no confidence, px."""
+
+    sure_px: float
+    unsure_px: float
+
+
+SEMIGLOBAL_STD = ConfidenceStd(0.16, 9.0)
+"""Fitted to the 68th and 95th percentile of semi-global matching's errors in ten classes of confidence, on eight
+training scenes of Middlebury 2006 with src as it is and with src three times coarser: both come to 0.2, 0.4, 0.9 and
+1.5 px at confidences of 0.95, 0.75, 0.55 and 0.35."""
+LEARNED_STD = ConfidenceStd(0.3, 8.0)
+"""Likewise of the network that comes with telewide: 0.3, 0.9, 1.3, 2.4 and 5.3 px at confidences of 0.95, 0.75, 0.55,
+0.35 and 0.15."""
 
 
 class Match(Protocol):
@@ -28,11 +44,11 @@ class Matcher:
         match: (ref, src, window) to the disparity of ref.
         window: disparities it was trained for, px, searched beside what the pairs need; None where it was not trained.
         doubt: what is to be said before it is used.
-        is_confidence_measured: whether its confidence was held against errors, and so tells how sure a disparity is.
+        confidence_std: what its confidence says of a disparity; None where it was never held against errors.
     """
 
     name: str
     match: Match
     window: Window | None = None
     doubt: str | None = None
-    is_confidence_measured: bool = True
+    confidence_std: ConfidenceStd | None = SEMIGLOBAL_STD

@@ -4,5 +4,5 @@ from __future__ import annotations
 
 from typing import Literal
 
-Method = Literal["joint", "network", "sgm"]
-"""A network and semi-global matching together, the network alone, semi-global matching alone."""
+Method = Literal["network", "sgm"]
+"""A network, or semi-global matching."""

@@ -11,8 +11,6 @@ Letters: D disparity levels, H W image, N M steps of a sweep and pixels beside e
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +21,6 @@ from telewide.matching.filling import fill_rows, weighted_median
 from telewide.matching.subpixel import refine_subpixel
 
 CostVolume = NDArray[np.uint16]
-Doubt = Callable[[int], NDArray[np.uint16]]
 
 _MIN_LEVELS = 4
 # Costs are in levels of colour, of 255, added up over the three channels.
@@ -49,31 +46,12 @@ def match_semiglobal(
 ) -> DisparityMap:
     """Match two rectified views by semi-global matching, to a fraction of a pixel.
 
-    Arguments, errors and the rest of the result as of :func:`match_to_levels`.
-    """
-    found = match_to_levels(ref, src, window=window, valid=valid)
-    disparity_px = refine_subpixel(ref, src, found.disparity_px, confidence=found.confidence)
-    return DisparityMap(disparity_px, found.confidence, found.valid)
-
-
-def match_to_levels(
-    ref: FloatMap,
-    src: FloatMap,
-    *,
-    window: tuple[int, int],
-    doubt: Doubt | None = None,
-    valid: ValidMasks | None = None,
-) -> DisparityMap:
-    """Match two rectified views to whole pixels, near which the result is drawn.
-
     Takes 4 bytes of memory for every pixel and level.
 
     Args:
         ref: (H, W, 3) float32, sRGB in [0, 1]: the view the result is for.
         src: (H, W, 3) float32, sRGB in [0, 1]: the other view, of the same size, in ref's colours.
         window: smallest and largest disparity searched, px; the largest is left out.
-        doubt: what else is known: called with each disparity of the window, it returns (H, W) uint16, the cost to
-            add there, on the scale of `_BIT_COST`; up to about 100.
         valid: where the photos reach, of (H, W); beyond, src ends and ref is filled; None where they fill the views.
 
     Returns:
@@ -85,10 +63,16 @@ def match_to_levels(
         ValueError: the views differ in shape, or the window is too small.
     """
     _check_views(ref, src, window=window)
+    found = _match_to_levels(ref, src, window=window, valid=valid)
+    disparity_px = refine_subpixel(ref, src, found.disparity_px, confidence=found.confidence)
+    return DisparityMap(disparity_px, found.confidence, found.valid)
+
+
+def _match_to_levels(
+    ref: FloatMap, src: FloatMap, *, window: tuple[int, int], valid: ValidMasks | None
+) -> DisparityMap:
+    """Match to whole pixels."""
     cost_HDW = _matching_cost(ref, src, window=window)
-    if doubt is not None:
-        for level, candidate_px in enumerate(range(*window)):
-            cost_HDW[:, level] += doubt(candidate_px)
     if valid is not None:
         _forget_unphotographed(cost_HDW, valid, window=window)
     total_HDW = _summed_over_paths(cost_HDW, ref * 255)

@@ -50,7 +50,7 @@ class DepthOptions:
         only: names of the captures to take; empty for all.
     """
 
-    method: Method = "joint"
+    method: Method = "network"
     weights: Path | None = None
     bokeh: BokehOptions | None = None
     out: Path | None = None
@@ -288,7 +288,7 @@ def shot_geometry(
         return None
     aligned = [pair.alignment for pair in prepared.pairs if pair.alignment is not None]
     precision = shot_precision(item.alignment, of_set=aligned, rig=prepared.rig)
-    precision = replace(precision, is_match_known=matcher.is_confidence_measured)
+    precision = replace(precision, confidence_std=matcher.confidence_std)
     return ShotGeometry(item.alignment.geometry, precision, item.alignment.moved, known)
 
 

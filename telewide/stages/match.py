@@ -1,4 +1,4 @@
-"""Choice of what matches two corrected views: semi-global matching, the network of a weights file, or both together."""
+"""Choice of what matches two corrected views: semi-global matching, or the network of a weights file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from telewide.assets import BOX_WEIGHTS
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint
-from telewide.matching.matcher import Matcher
+from telewide.matching.matcher import LEARNED_STD, Matcher
 from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.options import parse_options
@@ -73,17 +73,15 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
     if weights is None:
         raise UsageError(f"method {method} needs the weights of a network")
     from telewide.matching.inference import choose_device, match_with_network
-    from telewide.matching.joint import match_jointly
     from telewide.training.checkpoint import load_weights
 
     network, card = load_weights(weights, device=choose_device(device))
-    match = partial(match_jointly if method == "joint" else match_with_network, network=network)
     return Matcher(
         f"{method} {fingerprint(weights)}",
-        match,
+        partial(match_with_network, network=network),
         card.searched_window,
         doubt=_unfinished(weights, card),
-        is_confidence_measured=method == "joint",
+        confidence_std=LEARNED_STD if network.knows_confidence else None,
     )
 
 

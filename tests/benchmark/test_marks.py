@@ -351,7 +351,7 @@ def test_the_command_prints_a_table_and_writes_pictures(captures: Path, tmp_path
     assert [row["capture"] for row in content["rows"]] == [capture.name, "mean"]
 
 
-def test_a_network_is_judged_alone_and_jointly(captures: Path, tmp_path: Path) -> None:
+def test_a_network_is_judged_beside_sgm(captures: Path, tmp_path: Path) -> None:
     (capture,) = find_captures(captures).captures
     card = WeightsCard("lite", (0, 16), load_recipe("quick").model_dump(mode="json"), {})
     save_weights(build_network("lite"), tmp_path / "kept.safetensors", card=card)
@@ -360,7 +360,7 @@ def test_a_network_is_judged_alone_and_jointly(captures: Path, tmp_path: Path) -
     done = CliRunner().invoke(benchmark_app, [*words, "--json", str(tmp_path / "marks.json")])
     assert done.exit_code == 0, done.output
     means = [row for row in json.loads((tmp_path / "marks.json").read_text())["rows"] if row["capture"] == "mean"]
-    assert [row["matcher"] for row in means] == ["sgm", "kept", "kept + sgm"]
+    assert [row["matcher"] for row in means] == ["sgm", "kept"]
 
 
 def test_missing_marks_are_a_clear_error(captures: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from telewide.depth.precision import (
 )
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.matcher import ConfidenceStd
 
 F_PX, BASELINE_M = 9000.0, 0.012
 
@@ -82,10 +83,12 @@ def test_confident_disparities_are_surer_and_filled_ones_least() -> None:
         np.array([[1.0, 0.5, 0.0, 0.9]], np.float32),
         np.array([[True, True, True, False]]),
     )
-    std_px = disparity_std_px(disparity)[0]
-    assert 0 < std_px[0] < std_px[1] < std_px[2] <= std_px[3]
+    of = ConfidenceStd(0.2, 8.0)
+    std_px = disparity_std_px(disparity, of=of)[0]
+    np.testing.assert_allclose(std_px[:3], [0.2, np.sqrt(0.2 * 8.0), 8.0], rtol=1e-6)
+    assert std_px[2] <= std_px[3]
     # Matched at a third of the size, a pixel there is three here.
-    np.testing.assert_allclose(disparity_std_px(disparity, scale=1 / 3)[0], 3 * std_px, rtol=1e-6)
+    np.testing.assert_allclose(disparity_std_px(disparity, of=of, scale=1 / 3)[0], 3 * std_px, rtol=1e-6)
 
 
 def test_spread_of_the_shots_is_found_and_a_bad_shot_does_not_draw_it_out(rng: np.random.Generator) -> None:

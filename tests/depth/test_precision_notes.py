@@ -113,7 +113,7 @@ def test_a_deviation_that_nothing_tells_is_left_out_and_metres_are_still_judged(
     """Of a network alone: what rig and lens are unsure by is the least the deviation can be."""
     disparity = DisparityMap(*(np.full((4, 5), value, kind) for value, kind in ((6.0, "f4"), (0.9, "f4"), (1, "?"))))
     for shift_px, has_metres in ((1.0, True), (40.0, False)):
-        precision = DepthPrecision(lens_shift_std_px=shift_px, is_match_known=False)
+        precision = DepthPrecision(lens_shift_std_px=shift_px, confidence_std=None)
         result = depth_result_of_rig("000", disparity, rig=RIG, precision=precision)
         judged, _ = without_meaningless_metres(result)
         left, told = without_unknown_std(judged, precision=precision)

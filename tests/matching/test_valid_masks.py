@@ -36,18 +36,13 @@ def painted(view: FloatImage, valid: BoolMap, paint: FloatImage) -> FloatImage:
 
 def matchers() -> dict[str, Match]:
     from telewide.matching.inference import match_with_network
-    from telewide.matching.joint import match_jointly
     from telewide.matching.networks import build_network
 
     network = build_network("lite", seed=1)
-    return {
-        "sgm": match_semiglobal,
-        "network": partial(match_with_network, network=network),
-        "joint": partial(match_jointly, network=network),
-    }
+    return {"sgm": match_semiglobal, "network": partial(match_with_network, network=network)}
 
 
-@pytest.mark.parametrize("name", ["sgm", "network", "joint"])
+@pytest.mark.parametrize("name", ["sgm", "network"])
 def test_no_disparity_is_claimed_where_one_of_the_photos_does_not_reach(name: str, pair: RenderedPair) -> None:
     valid = masks_of(pair.ref.shape[:2])
     found = matchers()[name](pair.ref, pair.src, window=WINDOW, valid=valid)

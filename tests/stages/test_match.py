@@ -18,16 +18,18 @@ from telewide.recipe import load_recipe
 from telewide.training.checkpoint import WeightsCard, save_weights
 
 
-@pytest.mark.parametrize(("method", "is_stated"), [("network", False), ("joint", True), ("sgm", True)])
+@pytest.mark.parametrize(
+    ("method", "name", "is_stated"), [("network", "lite", False), ("network", "guided", True), ("sgm", "lite", True)]
+)
 def test_a_deviation_is_stated_only_where_the_confidence_was_held_against_errors(
-    method: Method, tmp_path: Path, *, is_stated: bool
+    method: Method, name: str, tmp_path: Path, *, is_stated: bool
 ) -> None:
     rig = phone_rig(width_px=320)
     quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
     tele, wide = (photo[..., None].repeat(3, axis=2) for photo in photos_of_a_plane(rig, np.random.default_rng(7)))
     recipe = load_recipe("quick", settings=["window_px=[0, 32]"])
-    card = WeightsCard("lite", (0, 32), recipe.model_dump(mode="json"), {})
-    save_weights(build_network("lite"), tmp_path / "w.safetensors", card=card)
+    card = WeightsCard(name, (0, 32), recipe.model_dump(mode="json"), {})
+    save_weights(build_network(name), tmp_path / "w.safetensors", card=card)
     depth = telewide.estimate_depth(
         PhotoPair("plane", tele, wide),
         rig=StoredRig(rig, None, None, None, quality, RigFacts()),

@@ -22,7 +22,6 @@ from telewide.benchmark.spaces import match_features
 from telewide.errors import unknown_name
 from telewide.geometry.arrays import ByteImage, FloatMap
 from telewide.matching.filling import fill_rows
-from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
 from telewide.srgb import grey
@@ -130,9 +129,9 @@ def _match_semiglobal(ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
     return match_semiglobal(ref, src, window=window).disparity_px
 
 
-def _comes_with_telewide(method: Method) -> Mapping[str, Matcher]:
-    """A method with the network in the box."""
-    match = read_matcher(BOX_WEIGHTS, method=method, device="auto").match
+def _comes_with_telewide() -> Mapping[str, Matcher]:
+    """The network in the box."""
+    match = read_matcher(BOX_WEIGHTS, method="network", device="auto").match
     return {"": lambda ref, src, window: match(ref, src, window=window).disparity_px}
 
 
@@ -155,15 +154,7 @@ _SYSTEMS = (
     System(
         "ours",
         "telewide depth, as it comes",
-        lambda _task, _folder, _tell: _comes_with_telewide("joint"),
-        (*_BOX_SOURCES, "matching.joint", "matching.semiglobal", "matching.filling", "matching.subpixel"),
-        files=(BOX_WEIGHTS,),
-        learns=False,
-    ),
-    System(
-        "ours-network",
-        "its network alone, as it comes",
-        lambda _task, _folder, _tell: _comes_with_telewide("network"),
+        lambda _task, _folder, _tell: _comes_with_telewide(),
         _BOX_SOURCES,
         files=(BOX_WEIGHTS,),
         learns=False,
