@@ -248,6 +248,30 @@ def test_help_starts_light() -> None:
     assert [name for name in HEAVY if name in loaded] == []
 
 
+def test_what_one_kind_of_system_has_is_imported_where_its_lack_is_answered(repo: Path) -> None:
+    """A module of the standard library that macOS or Windows lacks is asked for and not taken for granted."""
+    of_one_kind = {"fcntl", "grp", "msvcrt", "pwd", "resource", "termios", "tty", "winreg"}
+    wrong, n_seen = [], 0
+    for path in sorted((repo / "telewide").rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        answered = {
+            node
+            for tried in ast.walk(tree)
+            if isinstance(tried, ast.Try)
+            and any(ast.unparse(h.type) == "ImportError" for h in tried.handlers if h.type)
+            for part in tried.body
+            for node in ast.walk(part)
+        }
+        for node in ast.walk(tree):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [str(node.module)] if isinstance(node, ast.ImportFrom) else []
+            if of_one_kind.intersection(names):
+                n_seen += 1
+                wrong += [] if node in answered else [(path.name, node.lineno)]
+    assert n_seen > 0
+    assert wrong == []
+
+
 def test_no_print() -> None:
     assert all_findings(print_findings) == []
     assert print_findings(module_from_text("def f():\n    print(1)")) != []

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import typer
 
+from telewide.bokeh.picture import DEFAULT_STRENGTH_SHARE
 from telewide.cli.app import app
 from telewide.recipe import load_recipe
 from telewide.text import with_options
@@ -88,15 +89,45 @@ def test_every_command_in_the_documents_parses(repo: Path) -> None:
     assert [(name, line, why) for name, line in shown if (why := why_refused(line)) is not None] == []
 
 
-def test_every_option_is_documented(repo: Path) -> None:
-    told = "".join(path.read_text(encoding="utf-8") for path in documents(repo) if path.suffix == ".md")
+def sections(repo: Path) -> dict[str, str]:
+    """What docs/commands.md says of each command: its section, or its row of a table."""
+    text = (repo / "docs" / "commands.md").read_text(encoding="utf-8")
+    found = dict(re.findall(r"^## telewide ([a-z-]+)(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
+    rows = re.findall(r"^\| `([a-z]+)[^`]*` \|(.*)$", found["benchmark"], re.MULTILINE)
+    return found | {f"benchmark {name}": row for name, row in rows}
+
+
+def test_every_option_is_documented_where_its_command_is(repo: Path) -> None:
+    told, of_all = sections(repo), {"--help", "--quiet", "--json"}
+    shared = {"run": told["train"] + told["depth"], "depth": told["train"]}
+    shared |= {name: told["benchmark"] for name in told if name.startswith("benchmark ") and name != "benchmark paper"}
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    names = [*commands, *(f"benchmark {name}" for name in commands["benchmark"].commands)]
     missing = {
-        (command, flag)
-        for command in typer.main.get_command(app).commands  # type: ignore[attr-defined]
-        for flag in flags_of(command)
-        if flag not in told
+        (name, flag)
+        for name in names
+        for flag in flags_of(*name.split()) - of_all
+        if not re.search(rf"{flag}(?![a-z-])", told.get(name, "") + shared.get(name, ""))
     }
+    assert len(names) > 12
     assert missing == set()
+
+
+def test_make_bench_measures_all_but_the_published_tables_and_names_its_data(repo: Path) -> None:
+    text = (repo / "Makefile").read_text(encoding="utf-8")
+    called = re.search(r"^bench:.*\n((?:\t.*\n)+)", text, re.MULTILINE)
+    assert called is not None
+    known = set(parser_of(["benchmark"])[0].commands)
+    assert set(re.findall(r"telewide benchmark (\w+)", called[1])) == known - {"paper"}
+    head = text[: text.index("DATA   :=")]
+    assert {f"$(DATA)/{name}" for name in re.findall(r"\$\(DATA\)/(\w+)", called[1])} <= set(
+        re.findall(r"\$\(DATA\)/\w+", head)
+    )
+
+
+def test_help_states_the_strength_of_a_blur_as_it_is() -> None:
+    (strength,) = (each for each in parser_of(["depth"])[0].params if each.name == "strength")
+    assert f"{100 * DEFAULT_STRENGTH_SHARE:g} % of the longer side" in strength.help
 
 
 def sources(repo: Path) -> list[Path]:

@@ -25,13 +25,16 @@ from telewide.cli import main
 from telewide.errors import UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.networks import build_network
+from telewide.matching.window import Window
 from telewide.metrics import three_pixel_error
+from telewide.pipeline import depth_captures
 from telewide.points.held_out import HeldOut
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.capture_depth import DepthOutcome, depth_of_capture
 from telewide.stages.depth import DepthOptions, recipe_of_depth
 from telewide.stages.kept_depth import KeptDepth, read_kept, write_kept
+from telewide.stages.observer import Silent
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
 from telewide.training.checkpoint import WeightsCard, save_weights
@@ -374,3 +377,17 @@ def test_a_network_searches_beyond_what_it_was_trained_for(
         )
         is_near = truth_px > 12
         assert (disparity_px[is_near] > 8.5).mean() > 0.4, "the trained window ends at 4 px"
+    heard = _Searched()
+    options = DepthOptions(method="network", weights=tmp_path / "w.safetensors", device="cpu")
+    depth_captures(simulated, run=tmp_path / "run", recipe=load_recipe("quick"), options=options, observer=heard)
+    assert heard.windows == [(-40, needed[1])], "what is told is what is searched"
+
+
+class _Searched(Silent):
+    """Hears which disparities are searched."""
+
+    def __init__(self) -> None:
+        self.windows: list[Window] = []
+
+    def searching(self, window: Window) -> None:
+        self.windows.append(window)

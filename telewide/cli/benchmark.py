@@ -130,7 +130,7 @@ def marks(
     sheets: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER", help="A picture of each capture there: marks, and every disparity at one scale."
+            metavar="FOLDER", help="A picture of each capture in this new folder: marks, and disparities at one scale."
         ),
     ] = None,
     rig: RigOption = None,
@@ -144,6 +144,8 @@ def marks(
     from telewide.stages.depth import recipe_of_depth
     from telewide.stages.run_folder import RunFolder
 
+    if sheets is not None:
+        refuse_filled(sheets)
     made_by_hand, sources = read_marks(marks), run or []
     contenders = all_contenders(sources, device=device)
     with _run_with_pairs(sources) as pairs_run:

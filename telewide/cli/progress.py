@@ -153,9 +153,9 @@ class ConsoleObserver:
         self._begin(f"depth ({method})", total=total)
 
     def depth_written(self, outcome: DepthOutcome) -> None:
-        """Move the bar; say what was left out."""
+        """Move the bar; say what was left out, and do not keep back what is less than was asked for."""
         for note in outcome.notes:
-            self.said(note)
+            (self.warned if note in outcome.shortcomings else self.said)(note)
         self._advance()
 
     def depth_failed(self, problem: Problem) -> None:

@@ -47,15 +47,21 @@ class _Block(nn.Module):
 
 
 class _Pool(nn.Module):
-    """Means over cells, what is left at the right and bottom apart; a view smaller than a cell is one cell."""
+    """Means over cells; a view smaller than a cell is one cell.
 
-    def __init__(self, cells: int) -> None:
+    Args:
+        cells: side of a cell.
+        is_published: without what is left at the right and bottom, as the authors do; else that is a cell too.
+    """
+
+    def __init__(self, cells: int, *, is_published: bool) -> None:
         super().__init__()
-        self.cells = cells
+        self.cells, self.is_published = cells, is_published
 
     def forward(self, x: Tensor) -> Tensor:
         height, width = x.shape[-2:]
-        return functional.avg_pool2d(x, (min(self.cells, height), min(self.cells, width)))
+        size = (min(self.cells, height), min(self.cells, width))
+        return functional.avg_pool2d(x, size, ceil_mode=not self.is_published)
 
 
 class PsmnetFullFeatures(nn.Module):
@@ -76,7 +82,8 @@ class PsmnetFullFeatures(nn.Module):
         self.layer3 = stacked(_Block, 64, 128, count=3)
         self.layer4 = stacked(_Block, 128, 128, count=3, dilation=2)
         for number, cells in enumerate(POOL_CELLS, start=1):
-            branch = nn.Sequential(_Pool(cells), conv2d(128, 32, kernel=1), nn.ReLU())
+            pool = _Pool(cells, is_published=is_published)
+            branch = nn.Sequential(pool, conv2d(128, 32, kernel=1), nn.ReLU())
             self.add_module(f"branch{number}", branch)
         self.lastconv = nn.Sequential(conv2d(320, 128), nn.ReLU(), nn.Conv2d(128, FEATURE_CHANNELS, 1, bias=False))
 
@@ -84,11 +91,16 @@ class PsmnetFullFeatures(nn.Module):
         """(B, 3, H, W) to ((B, 32, H/4, W/4),)."""
         quarter = self.layer2(self.layer1(self.firstconv(image_BCHW)))
         deep = self.layer4(self.layer3(quarter))
-        pooled = [
-            _enlarge(self.get_submodule(f"branch{number}")(deep), deep.shape[-2:], is_published=self.is_published)
-            for number in range(len(POOL_CELLS), 0, -1)
-        ]
+        pooled = [self._pooled(deep, number) for number in range(len(POOL_CELLS), 0, -1)]
         return (self.lastconv(torch.cat((quarter, deep, *pooled), dim=1)),)
+
+    def _pooled(self, deep: Tensor, number: int) -> Tensor:
+        cells: Tensor = self.get_submodule(f"branch{number}")(deep)
+        if self.is_published:
+            return _enlarge(cells, deep.shape[-2:], is_published=True)
+        # By the cells' own size, not to that of the view, which may end within a cell.
+        size = tuple(POOL_CELLS[number - 1] * side for side in cells.shape[-2:])
+        return _enlarge(cells, size, is_published=False)[..., : deep.shape[-2], : deep.shape[-1]]
 
 
 class PublishedPsmnetFeatures(PsmnetFullFeatures):

@@ -95,6 +95,16 @@ class DepthOutcome:
     is_kept: bool = False
     withheld: str | None = None
 
+    @property
+    def shortcomings(self) -> tuple[str, ...]:
+        """The notes that tell of less than was asked for."""
+        no_bokeh = _no_bokeh_note(self.name, "")
+        return tuple(note for note in self.notes if note == self.withheld or note.startswith(no_bokeh))
+
+
+def _no_bokeh_note(name: str, why: str) -> str:
+    return f"{name}: {BOKEH_NAME} left out: {why}"
+
 
 @dataclass(frozen=True)
 class DepthFailure:
@@ -238,7 +248,7 @@ def _blurred(
     """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
     refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m)
     if refusal is not None:
-        return None, (f"{result.name}: bokeh.jpg left out: {refusal}",), {}
+        return None, (_no_bokeh_note(result.name, refusal),), {}
     focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
     picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
     focused = _focus_numbers(focus, result)

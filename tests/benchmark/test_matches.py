@@ -22,7 +22,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.matcher import Matcher
 from telewide.matching.networks import build_network
-from telewide.matching.window import Window
+from telewide.matching.window import Window, joined_window
 from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import prepare_captures
@@ -160,21 +160,33 @@ def test_captures_that_every_training_held_out_get_their_own_lines(captures: Pat
     assert {row["captures"] for row in both.rows} == {"all"}
 
 
+@pytest.mark.parametrize("place", ["kept.safetensors", "run/train/kept.safetensors"])
 def test_a_lone_weights_file_is_judged_on_the_pairs_it_was_taught_on(
-    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    """Kept anywhere, of no run: what its training has seen is not known, and is said so."""
+    """Kept anywhere, what its training has seen is not known, and is said so; in its run folder the record tells."""
     taught = load_recipe("quick", settings=["working_width_px=128"])
-    card = WeightsCard("lite", (0, 16), taught.model_dump(mode="json"), {})
-    save_weights(build_network("lite"), tmp_path / "kept.safetensors", card=card)
+    needed = prepare_captures(find_captures(captures), RunFolder(tmp_path / "like"), recipe=taught).window
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(benchmark_app, ["matches", str(captures), "--run", "kept.safetensors"])
+    Path(place).parent.mkdir(parents=True, exist_ok=True)
+    card = WeightsCard("lite", (0, 16), taught.model_dump(mode="json"), {})
+    save_weights(build_network("lite"), Path(place), card=card)
+    names = [path.name for path in captures.iterdir() if path.is_dir()]
+    if "/" in place:
+        record = {"recipe": {}, "window": [0, 64], "captures": names, "held_out": names}
+        Path(place).with_name("training.json").write_text(json.dumps(record))
+    done = CliRunner().invoke(benchmark_app, ["matches", str(captures), "--run", place, "--json", "told.json"])
     assert done.exit_code == 0, done.output
     assert "| kept " in done.output
-    assert "no capture is known to be unseen" in done.output
+    assert ("no capture is known to be unseen" in done.output) == ("/" not in place)
+    assert ("held out, chose the weights" in done.output) == ("/" in place)
+    assert json.loads(Path("told.json").read_text())["options"]["window"] == list(joined_window([(0, 16), needed]))
 
 
-@pytest.mark.parametrize("words", [("metres", "--keep"), ("middlebury", ".", "--captures")])
+@pytest.mark.parametrize(
+    "words",
+    [("metres", "--keep"), ("middlebury", ".", "--captures"), ("marks", ".", "--marks", "mine.yaml", "--sheets")],
+)
 def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path, words: tuple[str, ...]) -> None:
     kept = tmp_path / "mine" / "captures.yaml"
     kept.parent.mkdir()

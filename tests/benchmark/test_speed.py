@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,13 @@ def test_peak_of_this_process_never_falls() -> None:
     block[:: 1 << 12] = b"x" * len(block[:: 1 << 12])
     assert peak_resident_bytes() >= before
     assert before > 1 << 20
+
+
+def test_where_the_system_does_not_tell_the_peak_it_is_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("telewide.benchmark.memory._STATUS", Path("nowhere"))
+    assert peak_resident_bytes() > 1 << 20
+    monkeypatch.setitem(sys.modules, "resource", None)  # as on Windows
+    assert peak_resident_bytes() == 0
 
 
 def test_larger_pictures_take_more_memory() -> None:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from telewide.bokeh.focus import Focus, find_focus
-from telewide.bokeh.picture import BokehOptions, focus_note
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
+from telewide.geometry.stereo import DisparityMap
 from telewide.simulate.captures import write_captures
 
 
@@ -26,6 +27,18 @@ def scene_px() -> np.ndarray:
     disparity_px[30:, 60:100] = 12.0
     disparity_px[:30, :40] = 30.0
     return disparity_px
+
+
+def test_a_photo_on_its_side_is_blurred_as_one_held_upright(scene_px: np.ndarray, rng: np.random.Generator) -> None:
+    """The default strength is a share of the longer side, whichever that is."""
+    photo = rng.random((*scene_px.shape, 3), dtype=np.float32)
+    pictures = []
+    for turns in (0, 1):
+        turned_px, turned = (np.ascontiguousarray(np.rot90(values, turns)) for values in (scene_px, photo))
+        disparity = DisparityMap(turned_px, np.ones_like(turned_px), np.ones(turned_px.shape, np.bool_))
+        focus = Focus(12.0, 0, 0)
+        pictures.append(bokeh_picture(turned, disparity, options=BokehOptions(), baseline_m=None, focus=focus))
+    np.testing.assert_allclose(np.rot90(pictures[0]), pictures[1], atol=0.02)
 
 
 def test_focus_words_name_the_surfaces(scene_px: np.ndarray, rng: np.random.Generator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from telewide.calibration.scene_quality import (
     row_errors_px,
     zero_std_px,
 )
-from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, SideSource
+from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, SideSource, scene_notes
 from telewide.geometry.rig import StereoRig
 from telewide.points.epipolar import across_in_wide, moved_rig
 
@@ -63,10 +64,16 @@ def test_with_halves_that_agree_it_is_usable() -> None:
     assert check(evidence, "check the rig").status == "pass"
 
 
+def test_the_guide_says_how_far_exif_is_trusted(repo: Path) -> None:
+    prior = FocalPrior(RIG.tele.f_px, RIG.wide.f_px)
+    told = f"trusted to {prior.tele_std_share:.0%}, and the ratio of the two lenses to {prior.ratio_std_share:.0%}"
+    assert told.replace("%", " %") in (repo / "docs" / "capture.md").read_text(encoding="utf-8").replace("\n  ", " ")
+
+
 @pytest.mark.parametrize("error_px", [0.5, 3.0, 12.0])
 def test_the_same_captures_with_more_pixels_are_judged_alike(error_px: float) -> None:
     """12 and 50 megapixels of one sensor: errors have twice the px, and are no larger."""
-    verdicts = []
+    verdicts, doubts = [], []
     for width_px in (4032, 8064):
         zoom = width_px / 4032
         rig = phone_rig(has_distortion=False, width_px=width_px)
@@ -77,7 +84,9 @@ def test_the_same_captures_with_more_pixels_are_judged_alike(error_px: float) ->
         whole = replace(both[0], focal=FocalPrior(rig.tele.f_px, rig.wide.f_px))
         quality = judge_scenes(SceneEvidence(whole, both, (errors_px,)))
         verdicts.append({each.name: each.status for each in quality.checks})
+        doubts.append([note for note in scene_notes(whole) if "zero of disparity" in note])
     assert verdicts[0] == verdicts[1]
+    assert doubts == [[], []]
 
 
 def test_halves_that_differ_are_told_but_not_for_the_zero_of_disparity() -> None:

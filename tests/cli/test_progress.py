@@ -14,6 +14,7 @@ from telewide.capture.pair import Capture, CaptureFacts
 from telewide.cli.progress import ConsoleObserver, captures_table
 from telewide.correction.verdict import PairReport, Verdict
 from telewide.points.held_out import HeldOut
+from telewide.stages.capture_depth import DepthOutcome
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import with_doubts
 from telewide.training.options import StageOptions
@@ -47,6 +48,18 @@ def test_doubts_of_the_shot_stand_beside_those_of_the_pair(before: Verdict, afte
     report = with_doubts(report_of("000", before, *own), ("the rig is kept",))
     assert (report.verdict, report.reasons) == (after, (*own, "the rig is kept"))
     assert with_doubts(report_of("000", before, *own), ()) == report_of("000", before, *own)
+
+
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_depth_that_is_less_than_asked_for_is_never_kept_back(*, is_quiet: bool) -> None:
+    withheld, bokeh = "000: no depth in metres: why", "000: bokeh.jpg left out: why"
+    notes = ("000: disparity.png left out", withheld, bokeh)
+    console = Console(file=io.StringIO(), width=200)
+    observer = ConsoleObserver(console, is_quiet=is_quiet)
+    observer.depth_written(DepthOutcome("000", (), notes, {}, withheld=withheld))
+    assert isinstance(console.file, io.StringIO)
+    assert console.file.getvalue().splitlines() == list(notes[1:] if is_quiet else notes)
+    assert observer.warnings == [withheld, bokeh]
 
 
 def test_the_table_names_captures_as_they_are_called() -> None:

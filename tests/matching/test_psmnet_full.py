@@ -92,6 +92,16 @@ def plain_features(w: Weights, x: Tensor, *, corners: bool) -> Tensor:
     return conv(w, "lastconv.2", conv_norm(w, "lastconv.0", torch.cat(parts, 1)).relu())
 
 
+def test_a_crop_is_pooled_on_the_grid_of_the_image() -> None:
+    """A crop that ends within a cell has the image's features where the cells of both are whole."""
+    features = build_network("psmnet", seed=1).features.eval()
+    noise = torch.randn(1, 3, 9, 18, generator=torch.Generator().manual_seed(0))
+    view = functional.interpolate(noise, size=(128, 512), mode="bicubic", align_corners=False)
+    with torch.no_grad():
+        of_crop, of_image = (features(part)[0][..., :28] for part in (view[..., :352], view))
+    assert (of_crop - of_image).abs().max() < 1e-3 * of_image.std()
+
+
 def plain_hourglass(
     w: Weights, name: str, x: Tensor, pre: Tensor | None, post: Tensor | None
 ) -> tuple[Tensor, Tensor, Tensor]:

@@ -94,6 +94,18 @@ def test_curves_are_drawn_of_what_can_be_read(tmp_path: Path) -> None:
     assert training_curves(tmp_path / "none") == ()
 
 
+def test_pixels_of_two_sizes_are_told_apart(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Matches are missed by px of the size that was matched, errors are px of the photo: each heading says which."""
+    photo = rng.random((60, 80, 3)).astype(np.float32)
+    one = np.ones(photo.shape[:2], np.float32)
+    write_depth(tmp_path / "one", DepthResult("one", DisparityMap(one, one, one > 0)), image=photo)
+    numbers = {"off_1px": 0.5, "EPE_px": 0.5}
+    row = report_row(PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers=numbers)
+    matched, photos = row.numbers
+    assert "px of the matched size" in matched
+    assert "px of the photo" in photos
+
+
 def test_guesses_look_hatched_on_the_page_whatever_the_size_of_the_photo(tmp_path: Path) -> None:
     """The hatch is drawn at the size it is seen at; drawn at the photo's size it would be made invisible."""
     hw = (1500, 2000)

@@ -64,7 +64,9 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
     outcome = made(capture, tmp_path / "run", bokeh=wide_open)
     assert not picture.exists()
     assert picture not in outcome.paths
-    assert any("`f_number`" in note and "`strength`" in note for note in outcome.notes)
+    (told,) = outcome.shortcomings
+    assert "`f_number`" in told
+    assert "`strength`" in told
     known = CaptureFacts(rectified=True, baseline_m=0.012)
     assert picture in made(capture, tmp_path / "run", bokeh=wide_open, facts=known).paths
     disparity = stepped(np.zeros(HW), np.zeros(HW), window=WINDOW)

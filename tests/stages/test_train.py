@@ -160,19 +160,34 @@ def test_training_leaves_weights_record_log_and_sheets(captures: Path, tmp_path:
     assert (options["window_px"], options["rig"], options["device"], options["fresh"]) == ([0, 32], None, "cpu", False)
 
 
-def test_what_is_held_out_is_never_trained_on(
-    captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of three captures one is kept for judging: crops come from the two others, and the judge asks that one alone."""
-    monkeypatch.setattr(telewide.stages.training_record, "FEWEST_TO_HOLD_OUT", 3)
-    begun: list[Training] = []
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> list[Training]:
+    """The trainings that were begun."""
+    noted_so_far: list[Training] = []
     train = telewide.stages.train.run_training
 
     def noted(training: Training, state: TrainingState, *, reporter: Observer) -> TrainingState:
-        begun.append(training)
+        noted_so_far.append(training)
         return train(training, state, reporter=reporter)
 
     monkeypatch.setattr(telewide.stages.train, "run_training", noted)
+    return noted_so_far
+
+
+def test_crops_are_no_larger_than_the_part_of_the_pictures_that_training_sees(
+    captures: Path, tmp_path: Path, recipe_path: Path, begun: list[Training]
+) -> None:
+    """Pictures of 128 x 192 px, a fifth of their width held out: they are not enlarged to fill 256 x 384 px."""
+    asked = ("train.crop_hw=[256, 384]", "train.rehearsal.steps=0", "train.photometric.steps=1", "train.stages=0")
+    run_training(captures, tmp_path / "run", tiny(*asked, path=recipe_path))
+    assert begun[0].source.crop_hw == (128, 144)
+
+
+def test_what_is_held_out_is_never_trained_on(
+    captures: Path, tmp_path: Path, recipe_path: Path, monkeypatch: pytest.MonkeyPatch, begun: list[Training]
+) -> None:
+    """Of three captures one is kept for judging: crops come from the two others, and the judge asks that one alone."""
+    monkeypatch.setattr(telewide.stages.training_record, "FEWEST_TO_HOLD_OUT", 3)
     short = ("train.rehearsal.steps=1", "train.photometric.steps=0", "train.stages=0")
     run_training(captures, tmp_path / "run", tiny(*short, path=recipe_path))
     record = read_training(RunFolder(tmp_path / "run"))
