@@ -23,7 +23,7 @@ from telewide.matching.conv3d import Conv3d
 from telewide.matching.overwriting import add_enlarged, is_overwriting_allowed, planar_conv1x1
 from telewide.matching.sampling import upsample_convex, warp_to_ref
 from telewide.matching.volume import correlate_at, correlate_groups, expect_disparity_at_mode
-from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
 
 GUIDE, QUARTER, EIGHTH, SIXTEENTH, THIRTYSECOND = 32, 48, 80, 112, 144
 GROUPS = 8
@@ -32,9 +32,11 @@ UPDATES = 2
 REACH = 3
 """Planes on each side of the guess that an update sees."""
 HALF_GROUPS, HALF_CHANNELS, HALF_REACH = 4, 16, 2
-PLANES_MULTIPLE, LEAST_PLANES = 4, 12
-"""Planes are padded to this, and cut again: the coarsest level has a quarter of them, and no less than three (oneDNN's
-bf16 gradient of a 3-D convolution over two planes reads memory that nobody has written)."""
+HALVED_PLANES = 4
+"""The hourglass halves the planes twice."""
+LEAST_PLANES = 12
+"""Fewer are padded to this: the coarsest level has a quarter of them, and no less than three (oneDNN's bf16 gradient of
+a 3-D convolution over two planes reads memory that nobody has written)."""
 DISPARITY_SCALE_PX = 8.0
 UNSURE, SURER_BY, APART_PX = 0.5, 0.15, 3.0
 """A coarser match is the new guess where the own confidence is below the first, the coarser one's higher by the second,
@@ -210,9 +212,11 @@ class GuidedMatching(nn.Module):
         The heads (B, 2, H, W) are logits: that the error is below 1 px, and that src does not see the pixel. Where a
         coarser match is surer, the updates begin again from it.
         """
-        correlation = correlate_groups(ref[0], src[0], window=window, groups=GROUPS)
-        mean = correlation.float().mean(dim=1)
-        logits = self._regularised(correlation, ref[2]) + self.correlation_scale * mean
+        whole = widened_window(window, planes=HALVED_PLANES)
+        correlation = correlate_groups(ref[0], src[0], window=whole, groups=GROUPS)
+        asked = planes_of(window, within=whole)
+        mean = correlation.float().mean(dim=1)[:, asked]
+        logits = self._regularised(correlation, ref[2])[:, asked] + self.correlation_scale * mean
         likeliest_px = expect_disparity_at_mode(logits, window=window)
         disparities, heads = self._read(likeliest_px, logits, mean, ref=ref, src=src, window=window)
         if coarser is not None:
@@ -240,7 +244,7 @@ class GuidedMatching(nn.Module):
 
     def _regularised(self, correlation: Tensor, trunk: Tensor) -> Tensor:
         planes = correlation.shape[2]
-        missing = max(-planes % PLANES_MULTIPLE, LEAST_PLANES - planes)
+        missing = max(0, LEAST_PLANES - planes)
         padded = functional.pad(correlation, (0, 0, 0, 0, 0, missing)) if missing else correlation
         volume = padded.contiguous(memory_format=torch.channels_last_3d)
         regularised: Tensor = self.hourglass(volume, trunk)[:, :planes]

@@ -133,7 +133,7 @@ def match_with_network(
     ref_BCHW, src_BCHW = (prepare_view(network.features, _tensor_from_image(view).to(device)) for view in (ref, src))
     disparity_px = np.empty(ref.shape[:2], np.float32)
     confidence, agrees = np.empty_like(disparity_px), np.empty(ref.shape[:2], np.bool_)
-    for tile in _tiles(ref.shape[:2], window=window, context_px=network.context_px, max_pixels=max_tile_pixels):
+    for tile in _tiles(ref.shape[:2], window=window, network=network, max_pixels=max_tile_pixels):
         maps = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
         for whole, part in zip((disparity_px, confidence, agrees), maps, strict=True):
             whole[tile.inner] = part[tile.inner_of_outer].cpu().numpy()
@@ -187,28 +187,30 @@ class _Tile:
         return slice(y[0] - top, y[1] - top), slice(x[0] - left, x[1] - left)
 
 
-def _tiles(hw: tuple[int, ...], *, window: Window, context_px: int, max_pixels: int) -> Iterator[_Tile]:
+def _tiles(hw: tuple[int, ...], *, window: Window, network: StereoNetwork, max_pixels: int) -> Iterator[_Tile]:
     """Cut an image so that every tile, border included, has about ``max_pixels``; one tile if it fits.
 
-    The border is ``context_px`` on each side, in x beyond where src is looked up and where the left-right check looks
-    back from; its result is thrown away.
+    The border is the network's context on each side, in x beyond where src is looked up and where the left-right check
+    looks back from; its result is thrown away.
     """
+    context_px, grid = network.context_px, max(GRID_PX, network.cells_px)
     if hw[0] * hw[1] <= max_pixels:
         yield _Tile((0, hw[0]), (0, hw[1]), (0, hw[0]), (0, hw[1]))
         return
     looks_back_px = window[1] - window[0]
     before_x, after_x = (context_px + looks_back_px + max(reach_px, 0) for reach_px in (window[1], -window[0]))
     side = max(256, int(max_pixels**0.5))
-    rows = _spans(hw[0], side - 2 * context_px, before=context_px, after=context_px)
+    rows = _spans(hw[0], side - 2 * context_px, before=context_px, after=context_px, grid=grid)
     for y, outer_y in rows:
-        for x, outer_x in _spans(hw[1], side - before_x - after_x, before=before_x, after=after_x):
+        for x, outer_x in _spans(hw[1], side - before_x - after_x, before=before_x, after=after_x, grid=grid):
             yield _Tile(y, x, outer_y, outer_x)
 
 
-def _spans(length: int, step: int, *, before: int, after: int) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+def _spans(
+    length: int, step: int, *, before: int, after: int, grid: int
+) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """(inner, outer) spans along one side; outer ends lie on the grid, so that a tile is padded as the image is."""
-    grid = GRID_PX
-    step = max(2 * grid, step // grid * grid)
+    step = max(2 * GRID_PX, step // grid * grid, grid)
     spans = []
     for start in range(0, length, step):
         end = min(start + step, length)

@@ -32,6 +32,10 @@ SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
 SCALES = 3
 """In which a network that can matches: full size, half and a quarter."""
+CELLS_PX = 64
+"""Tiles begin at multiples of this: psmnet-s pools over cells of this size."""
+PSMNET_CELLS_PX = 256
+"""The largest that psmnet pools over."""
 WIDEST_CONTEXT_PX = 320
 """Of psmnet-s, whose convolutions, hourglass and pools over cells of 64 px reach 306 px: rounded up to the cells."""
 PSMNET_CONTEXT_PX = 768
@@ -73,13 +77,22 @@ class StereoNetwork(nn.Module):
         matching: ``(ref, src, window)`` to ``(disparities, logits)``.
         context_px: how far around a pixel its result depends on the views, beyond the disparities' reach; tiles overlap
             by so much.
+        cells_px: side of the largest cells that the features are means over; tiles begin at multiples of it.
     """
 
-    def __init__(self, features: nn.Module, matching: nn.Module, *, context_px: int = WIDEST_CONTEXT_PX) -> None:
+    def __init__(
+        self,
+        features: nn.Module,
+        matching: nn.Module,
+        *,
+        context_px: int = WIDEST_CONTEXT_PX,
+        cells_px: int = CELLS_PX,
+    ) -> None:
         super().__init__()
         self.features = features
         self.matching = matching
         self.context_px = context_px
+        self.cells_px = cells_px
 
     @property
     def knows_confidence(self) -> bool:
@@ -159,7 +172,8 @@ def _build_psmnet_s() -> StereoNetwork:
 
 
 def _build_psmnet() -> StereoNetwork:
-    network = StereoNetwork(PsmnetFullFeatures(), PsmnetFullMatching(), context_px=PSMNET_CONTEXT_PX)
+    parts = PsmnetFullFeatures(), PsmnetFullMatching()
+    network = StereoNetwork(*parts, context_px=PSMNET_CONTEXT_PX, cells_px=PSMNET_CELLS_PX)
     initialise_psmnet(network)
     return network
 

@@ -266,6 +266,27 @@ def test_the_left_right_check_of_a_tile_is_that_of_the_image(window: tuple[int, 
     np.testing.assert_allclose(tiled.confidence, whole.confidence, atol=0.02)
 
 
+class _Cells(_Blur):
+    """Features less their means over cells of 256 px, as `psmnet` pools them."""
+
+    def forward(self, image: torch.Tensor) -> tuple[torch.Tensor]:
+        (quarter,) = super().forward(image)
+        means = torch.nn.functional.avg_pool2d(quarter, 64, ceil_mode=True)
+        spread = torch.nn.functional.interpolate(means, scale_factor=64.0)
+        return (quarter - 3 * spread[..., : quarter.shape[-2], : quarter.shape[-1]],)
+
+
+@pytest.mark.parametrize("cells_px", [256, 64])
+def test_tiles_begin_where_the_cells_of_the_network_do(cells_px: int) -> None:
+    ref, src = noise(300, 1400), noise(300, 1400, seed=1)
+    network = StereoNetwork(_Cells(0), _Correlate(), context_px=64, cells_px=cells_px)
+    with full_precision():
+        whole, tiled = (
+            match_with_network(ref, src, network=network, window=(0, 64), max_tile_pixels=n) for n in (10**6, 10**5)
+        )
+    assert (np.abs(tiled.disparity_px - whole.disparity_px).max() < 0.1) == (cells_px == 256)
+
+
 class _Heads(_Correlate):
     """Finds the shift of the views and says: sure on the left half, hidden in the lower half."""
 

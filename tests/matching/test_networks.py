@@ -185,14 +185,14 @@ def stirred(name: str) -> StereoNetwork:
     return network
 
 
-@pytest.mark.parametrize("name", [*NAMES, "psmnet"])
+@pytest.mark.parametrize("name", [*NAMES, "guided", "psmnet"])
 @pytest.mark.parametrize("first_px", [-100, -40, 4])
 def test_any_number_of_planes_gives_the_same_volume(name: str, first_px: int) -> None:
     """Windows of 4 to 40 planes against one a few planes wider: what is halved inside falls on the same planes."""
     network = stirred(name)
     with torch.no_grad(), full_precision():
         ref, src = (network.features(randn(1, 3, 32, 64, seed=seed)) for seed in (0, 1))
-        for planes in range(4, 41, {"psmnet": 9}.get(name, 1)):
+        for planes in range(4, 41, {"guided": 3, "psmnet": 9}.get(name, 1)):
             window = (first_px, first_px + 4 * planes)
             wider = (window[0] // 16 * 16, -(-window[1] // 16) * 16)
             volume, whole = (network.matching(ref, src, searched)[1] for searched in (window, wider))
