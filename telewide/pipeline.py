@@ -59,7 +59,7 @@ def train_captures(
     from telewide.stages.train import train
 
     if recipe.train.worlds:
-        return train_box(recipe, run=run or Path("run"), fresh=fresh, device=device, observer=observer)
+        return train_box(recipe, run=run, fresh=fresh, device=device, observer=observer)
     with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig) as call:
         pairs = prepare(call)
         return train(call, pairs, fresh=fresh)

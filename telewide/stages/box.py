@@ -11,12 +11,15 @@ from pathlib import Path
 import torch
 
 from telewide.cores import Device
+from telewide.folders import refuse_links
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
 from telewide.recipe import Recipe
+from telewide.stages.call import alone
 from telewide.stages.observer import Observer
-from telewide.stages.run_folder import RunFolder
+from telewide.stages.rig_run import CAPTURES_FOLDER
+from telewide.stages.run_folder import RunFolder, locate_run
 from telewide.stages.train import SHEET_ROWS, TrainOutcome, forget, outcome_of, planned, state_for, workers_for
 from telewide.stages.training_log import LoggedReporter, drop_log_after
 from telewide.stages.training_record import TrainingRecord, read_training, refuse_another_recipe, write_training
@@ -32,12 +35,12 @@ from telewide.training.world_samples import WorldBatches, WorldSource
 JUDGED_STEPS = 8
 
 
-def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: Device, observer: Observer) -> TrainOutcome:
+def train_box(recipe: Recipe, *, run: Path | None, fresh: bool, device: Device, observer: Observer) -> TrainOutcome:
     """Train on worlds, or continue.
 
     Args:
         recipe: resolved, with ``train.worlds``.
-        run: run folder.
+        run: run folder, or None for ``run`` here.
         fresh: forget a training that lies there.
         device: auto, cpu or cuda.
         observer: is told of the progress.
@@ -46,32 +49,41 @@ def train_box(recipe: Recipe, *, run: Path, fresh: bool, device: Device, observe
         The outcome.
 
     Raises:
-        UsageError: no stage with steps, or the training there was begun with another recipe.
+        UsageError: no stage with steps, the training there was begun with another recipe, or a run folder that nobody
+            named is a link.
+        InputError: the training's folder in the run folder is a link.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
-    folder, resolved, chosen = RunFolder(run), recipe.model_dump(mode="json"), choose_device(device)
+    folder, chosen = locate_run(run, CAPTURES_FOLDER), choose_device(device)
+    refuse_links(folder.root, folder.train)
+    with joined_processes(device) as processes, alone(processes, folder.train, observer=observer):
+        return _train(recipe, folder, fresh=fresh, device=chosen, processes=processes, observer=observer)
+
+
+def _train(
+    recipe: Recipe, folder: RunFolder, *, fresh: bool, device: torch.device, processes: Processes, observer: Observer
+) -> TrainOutcome:
     source, judged = (
         WorldSource(seed=seed, crop_hw=recipe.train.crop_hw) for seed in (recipe.seed, recipe.seed + JUDGE_SEED)
     )
-    with joined_processes(device) as processes:
-        state = _take_up(folder, recipe, source, device=chosen, fresh=fresh, processes=processes, observer=observer)
-        if state.is_finished:
-            return outcome_of(folder, planned(recipe), state, is_new=False)
-        training = Training(
-            folder=folder.train,
-            options=recipe.train,
-            source=source,
-            judge=crops_judge(WorldBatches(judged, judge_stage(steps=JUDGED_STEPS)), window=judged.window_px),
-            seed=recipe.seed,
-            network_name=recipe.network,
-            recipe=resolved,
-            device=chosen,
-            processes=processes,
-            workers=workers_for(chosen),
-        )
-        logged = LoggedReporter(observer, folder, partial(_rows, judged), is_writer=processes.is_writer)
-        run_training(training, state, reporter=logged)
-        return outcome_of(folder, planned(recipe), state, is_new=True)
+    state = _take_up(folder, recipe, source, device=device, fresh=fresh, processes=processes, observer=observer)
+    if state.is_finished:
+        return outcome_of(folder, planned(recipe), state, is_new=False)
+    training = Training(
+        folder=folder.train,
+        options=recipe.train,
+        source=source,
+        judge=crops_judge(WorldBatches(judged, judge_stage(steps=JUDGED_STEPS)), window=judged.window_px),
+        seed=recipe.seed,
+        network_name=recipe.network,
+        recipe=recipe.model_dump(mode="json"),
+        device=device,
+        processes=processes,
+        workers=workers_for(device),
+    )
+    logged = LoggedReporter(observer, folder, partial(_rows, judged), is_writer=processes.is_writer)
+    run_training(training, state, reporter=logged)
+    return outcome_of(folder, planned(recipe), state, is_new=True)
 
 
 def _take_up(

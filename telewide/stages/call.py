@@ -127,19 +127,20 @@ def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:
 
 
 @contextmanager
-def alone(call: Call, place: Path) -> Iterator[None]:
+def alone(processes: Processes, place: Path, *, observer: Observer) -> Iterator[None]:
     """Hold a place of the run folder alone; wait for another call that holds it.
 
     One place, not the whole folder, so that depth can take the newest weights while training goes on.
 
     Args:
-        call: whose processes write there.
+        processes: of a call; one of them writes there.
         place: a folder of the run folder, or that of the results.
+        observer: is told where there is something to wait for.
     """
     with ExitStack() as held:
-        if call.processes.is_writer:
-            held.enter_context(alone_in(place, waiting=call.observer.said))
-        call.processes.wait()
+        if processes.is_writer:
+            held.enter_context(alone_in(place, waiting=observer.said))
+        processes.wait()
         yield
 
 

@@ -200,7 +200,7 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
     window = _searched(call, prepared, matcher)
     call.observer.matching(len(prepared.pairs), method=options.method)
     mine: list[DepthOutcome | DepthFailure] = []
-    with alone(call, options.out or call.folder.depth):
+    with alone(processes, options.out or call.folder.depth, observer=call.observer):
         for item in processes.share(prepared.pairs):
             mine.append(_depth_of(item, call, prepared, matcher=matcher, window=window, options=options))
             _tell(call.observer, mine[-1])

@@ -103,7 +103,7 @@ def prepare(call: Call) -> PreparedSet:
         shown = command_line("show", call.rig_file or RIG_FILE)
         call.observer.warned(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
     call.observer.preparing(captures)
-    with alone(call, call.folder.pairs):
+    with alone(call.processes, call.folder.pairs, observer=call.observer):
         if call.processes.world == 1:
             prepared = prepare_captures(
                 captures, call.folder, recipe=recipe, rig=call.rig, photos=call.photos, tick=heard

@@ -22,6 +22,7 @@ from pathlib import Path
 
 from telewide.errors import TelewideError, UsageError
 from telewide.files import fingerprint, write_text
+from telewide.folders import refuse_links
 from telewide.records import read_json
 from telewide.text import json_text
 from telewide.training.options import WEIGHTS_NAME
@@ -111,10 +112,16 @@ def locate_run_of_depth(run: Path | None, captures_root: Path, *, out: Path | No
 
     Returns:
         The folder; a hidden one among the results where no run folder is needed.
+
+    Raises:
+        UsageError: see `locate_run`.
+        InputError: the hidden one is a link.
     """
     if run is not None or out is None or locate_run(None, captures_root).root.exists():
         return run
-    return out / ".telewide"
+    hidden = out / ".telewide"
+    refuse_links(out, hidden)
+    return hidden
 
 
 def write_run_record(

@@ -98,7 +98,7 @@ def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
     prepared_s = time.monotonic()
-    with alone(call, call.folder.train):
+    with alone(call.processes, call.folder.train, observer=call.observer):
         outcome = _train(call, prepared, fresh=fresh, device=choose_device(call.device))
     timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
     asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}

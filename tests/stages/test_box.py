@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from telewide.errors import UsageError
+from telewide.errors import InputError, UsageError
 from telewide.recipe import Recipe, load_recipe
 from telewide.stages import box
 from telewide.stages.box import train_box
@@ -80,3 +80,19 @@ def test_another_recipe_does_not_go_on_with_it(tmp_path: Path) -> None:
     train_box(recipe(2), run=tmp_path, fresh=False, device="cpu", observer=Quiet())
     with pytest.raises(UsageError, match="seed"):
         train_box(recipe(2, "seed=9"), run=tmp_path, fresh=False, device="cpu", observer=Quiet())
+
+
+def test_no_link_is_followed_out_of_the_run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    canary = tmp_path / "canary"
+    canary.mkdir()
+    (canary / "training.json").write_text("precious")
+    (tmp_path / "given").mkdir()
+    (tmp_path / "given" / "train").symlink_to(canary)
+    with pytest.raises(InputError, match="train is a link"):
+        train_box(recipe(2), run=tmp_path / "given", fresh=True, device="cpu", observer=Quiet())
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run").symlink_to(canary)
+    with pytest.raises(UsageError, match="run is a link"):
+        train_box(recipe(2), run=None, fresh=True, device="cpu", observer=Quiet())
+    assert [path.name for path in canary.iterdir()] == ["training.json"]
+    assert (canary / "training.json").read_text() == "precious"

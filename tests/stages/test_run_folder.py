@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from telewide.errors import TelewideError, UsageError
+from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import fingerprint, replacing, write_text
 from telewide.stages.run_folder import RunFolder, locate_run, locate_run_of_depth, write_run_record
 
@@ -222,3 +222,14 @@ def test_depth_with_a_place_of_its_own_makes_no_run_folder(tmp_path: Path, monke
     assert locate_run_of_depth(Path("mine"), captures, out=out) == Path("mine")
     (tmp_path / "run").mkdir()  # pairs that lie there are taken
     assert locate_run_of_depth(None, captures, out=out) is None
+
+
+def test_a_link_that_nobody_named_is_not_taken_for_the_hidden_run_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "results"
+    out.mkdir()
+    (out / ".telewide").symlink_to(tmp_path)
+    with pytest.raises(InputError, match=r"\.telewide is a link"):
+        locate_run_of_depth(None, tmp_path / "captures", out=out)
