@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from telewide.errors import InputError, UsageError
+from telewide.files import is_file, is_folder
 
 AssetKind = Literal["pipelines", "calib"]
 
@@ -37,10 +38,10 @@ def find_asset(kind: AssetKind, name: str) -> Path:
         UsageError: there is no such file; the message lists the known names and the nearest one.
     """
     explicit = Path(name).expanduser()
-    if is_yaml(explicit) and explicit.is_file():
+    if is_yaml(explicit) and is_file(explicit):
         return explicit
     for folder in _folders(kind):
-        if is_yaml(folder / name) and (folder / name).is_file():
+        if is_yaml(folder / name) and is_file(folder / name):
             return folder / name
         if found := find_yaml((folder / name).parent, (folder / name).name):
             return found
@@ -65,7 +66,7 @@ def list_assets(kind: AssetKind) -> tuple[str, ...]:
         path.relative_to(folder).with_suffix("").as_posix()
         for folder in _folders(kind)
         for path in folder.rglob("*")
-        if is_yaml(path) and path.is_file()
+        if is_yaml(path) and is_file(path)
     }
     return tuple(sorted(names))
 
@@ -93,7 +94,7 @@ def find_yaml(folder: Path, stem: str) -> Path | None:
     except OSError:  # not there; or a folder that may be entered, not listed
         entries = [folder / f"{stem}.yaml"]
     found = [
-        path for path in entries if is_yaml(path) and path.stem.casefold() == stem.casefold() and not path.is_dir()
+        path for path in entries if is_yaml(path) and path.stem.casefold() == stem.casefold() and not is_folder(path)
     ]
     if len(found) > 1:
         names = " and ".join(path.name for path in found)
@@ -104,4 +105,4 @@ def find_yaml(folder: Path, stem: str) -> Path | None:
 def _folders(kind: AssetKind) -> tuple[Path, ...]:
     # An editable install has no shipped copy beside the sources, hence the checkout.
     candidates = (Path.cwd() / kind, _PACKAGE / "_shipped" / kind, _PACKAGE.parent / kind)
-    return tuple(folder for folder in dict.fromkeys(candidates) if folder.is_dir())
+    return tuple(folder for folder in dict.fromkeys(candidates) if is_folder(folder))

@@ -93,6 +93,53 @@ def open_regular(path: Path) -> io.BufferedReader:
     return io.BufferedReader(stream)
 
 
+def is_file(path: Path) -> bool:
+    """Whether a path leads to a regular file; False also where it cannot be told.
+
+    Unlike ``Path.is_file``, which fails on a link with too long a name in it and on one into a closed folder.
+    """
+    return stat.S_ISREG(_mode_of(path))
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a path leads to a folder; False also where it cannot be told."""
+    return stat.S_ISDIR(_mode_of(path))
+
+
+def is_there(path: Path) -> bool:
+    """Whether a path leads to anything; False also where it cannot be told."""
+    return _mode_of(path) != 0
+
+
+def _mode_of(path: Path) -> int:
+    """Mode of what a path leads to; 0 where it leads to nothing, or that cannot be told."""
+    try:
+        return path.stat().st_mode
+    except (OSError, ValueError):  # ValueError: a name with a null character
+        return 0
+
+
+def refuse_other_than_folder(path: Path, *, expected: str) -> None:
+    """Refuse a path that leads to no folder.
+
+    Args:
+        path: as its user named it.
+        expected: what should be there, for the message.
+
+    Raises:
+        UsageError: nothing is there, something else is, or it cannot be told.
+    """
+    try:
+        is_other = not stat.S_ISDIR(path.stat().st_mode)
+        found = "is a file"
+    except (FileNotFoundError, NotADirectoryError):
+        is_other, found = True, "does not exist"
+    except (OSError, ValueError) as error:
+        is_other, found = True, f"cannot be opened: {getattr(error, 'strerror', None) or error}"
+    if is_other:
+        raise UsageError(f"{path} {found}; {expected} was expected")
+
+
 def refuse_strange_file(path: Path) -> None:
     """Refuse what `open_regular` refuses, before a library opens it by its name.
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from telewide.errors import InputError
-from telewide.files import changing, remove_leftovers, temporary_name
+from telewide.files import changing, is_there, remove_leftovers, temporary_name
 
 try:
     import fcntl
@@ -100,7 +100,7 @@ def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
         MissingPartError: the disk is full.
         UsageError: the folder cannot be made.
     """
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    made = [place for place in (folder, *folder.parents) if not is_there(place)]
     with changing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)

@@ -151,7 +151,7 @@ def test_a_pipe_stops_no_command(clean: Path, tmp_path: Path, monkeypatch: pytes
 
 
 def test_what_stands_in_the_way_ends_no_command(clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files in the places of folders, folders in the places of files, and links to themselves."""
+    """Files in the places of folders, folders in those of files, links to themselves and with too long a name."""
     root = copied(clean, tmp_path)
     for place in ("run/pairs/000", "run/depth/001", "captures/002", "roll/c"):
         (root / place).parent.mkdir(parents=True, exist_ok=True)
@@ -166,6 +166,10 @@ def test_what_stands_in_the_way_ends_no_command(clean: Path, tmp_path: Path, mon
         (root / place / "mine").write_text("in the way")
     for place in ("captures/003", "roll/e.jpg", "roll/f", "captures/001/pair.json"):
         (root / place).symlink_to(Path(place).name)
+    for place in ("captures/004", "captures/001/tele.jpg", "captures/x_wide.jpg", "captures/000/pair.json"):
+        (root / place).symlink_to("x" * 300)
+    for place in ("roll/g.jpg", "roll/h", "run/train/training.json", "run/pairs/000.json"):
+        (root / place).symlink_to("x" * 300)
     codes = call_every_command(root, monkeypatch)
     assert set(codes.values()) <= {0, 2, 3, 4}, codes
     assert (root / "run/depth/001").read_text() == "in the way"

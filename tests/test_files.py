@@ -17,7 +17,7 @@ from telewide.boards.board import load_board
 from telewide.calibration.rig_file import read_rig
 from telewide.capture.facts import read_facts
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import once_a_file, read_regular
+from telewide.files import is_file, is_folder, is_there, once_a_file, read_regular, refuse_other_than_folder
 from telewide.recipe import load_recipe
 from telewide.records import read_json
 from telewide.yaml_files import MAX_DEPTH, MAX_YAML_BYTES, parse_yaml, read_yaml
@@ -122,6 +122,24 @@ def test_only_regular_files_are_opened(tmp_path: Path, kind: str, reader: Callab
         server.close()
     with pytest.raises(InputError, match=r"x (is a|cannot be read)"):
         reader(path)
+
+
+def test_what_a_path_leads_to_is_told_without_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    os.mkfifo(tmp_path / "pipe")
+    for name, target in (("to file", "file"), ("to folder", "."), ("nowhere", "none"), ("loop", "loop")):
+        (tmp_path / name).symlink_to(target)
+    (tmp_path / "long").symlink_to("x" * 300)
+    told = dict.fromkeys(("file", "to file"), (True, False, True))
+    told |= dict.fromkeys((".", "to folder"), (False, True, True)) | {"pipe": (False, False, True)}
+    told |= dict.fromkeys(("nowhere", "loop", "long", "x" * 300, "a\0b", "file/below"), (False, False, False))
+    for name, expected in told.items():
+        path = tmp_path / name
+        assert (is_file(path), is_folder(path), is_there(path)) == expected, name
+    for name, message in (("none", "does not exist"), ("file", "is a file"), ("loop", "cannot be opened: Too many")):
+        with pytest.raises(UsageError, match=f"{name} {message}.*; a folder was expected"):
+            refuse_other_than_folder(tmp_path / name, expected="a folder")
+    refuse_other_than_folder(tmp_path / "to folder", expected="a folder")
 
 
 def test_a_device_is_no_file() -> None:

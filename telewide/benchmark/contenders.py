@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from functools import partial
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 from telewide.benchmark.memory import SGM
 from telewide.cores import Device
 from telewide.errors import UsageError
+from telewide.files import is_file
 from telewide.matching.matcher import Matcher
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
@@ -54,7 +56,7 @@ def source_labels(sources: Sequence[Path]) -> list[str]:
     Args:
         sources: run folders and weights files.
     """
-    names = [source.resolve().name.removesuffix(_SUFFIX) for source in sources]
+    names = [Path(os.path.realpath(source)).name.removesuffix(_SUFFIX) for source in sources]
     return names if len(set(names)) == len(names) else [str(source) for source in sources]
 
 
@@ -63,19 +65,19 @@ def _contenders_of(source: Path, label: str, *, device: Device) -> list[Matcher]
     from telewide.training.checkpoint import load_weights
 
     torch_device = choose_device(device)
-    if source.is_file():
+    if is_file(source):
         network, card = load_weights(source, device=torch_device)
         return [_network_contender(label, network, card.searched_window)]
     run = RunFolder(source)
     result = run.weights
     # Hidden ones are being written by a training under way.
     stages = sorted((p for p in run.train.glob(f"[!.]*{_SUFFIX}") if p != result), key=_position)
-    if not stages and not result.is_file():
+    if not stages and not is_file(result):
         raise UsageError(
             f"{source} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"
         )
     loaded = [(path.stem, *load_weights(path, device=torch_device)) for path in stages]
-    if result.is_file():
+    if is_file(result):
         network, card = load_weights(result, device=torch_device)
         if not any(_is_equal(network, other) for _, other, _ in loaded):
             loaded.append(("result", network, card))

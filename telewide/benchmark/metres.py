@@ -27,6 +27,7 @@ from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm
 from telewide.cores import Device
 from telewide.errors import UsageError
+from telewide.files import is_file
 from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rig import StereoRig
 from telewide.matching.methods import Method
@@ -115,7 +116,7 @@ def depth_makers(sources: Sequence[Path]) -> list[DepthMaker]:
     """
     makers = [DepthMaker(SGM, "sgm", None, load_recipe(DEFAULT_RECIPE))]
     for source, label in zip(sources, source_labels(sources), strict=True):
-        weights = source if source.is_file() else _weights_of(source)
+        weights = source if is_file(source) else _weights_of(source)
         recipe = recipe_of_depth(weights.absolute().parents[1], source, weights=weights)
         makers.append(DepthMaker(label, "network", weights, recipe))
     return makers
@@ -240,7 +241,7 @@ def _percent(value: object, form: str) -> str:
 
 def _weights_of(run: Path) -> Path:
     weights = run / "train" / WEIGHTS_NAME
-    if not weights.is_file():
+    if not is_file(weights):
         raise UsageError(
             f"{run} holds no trained network", hint="a run folder of telewide train, or a weights file, was expected"
         )

@@ -31,7 +31,8 @@ from telewide.capture.view_files import (
     passed_over,
     visible_entries,
 )
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError
+from telewide.files import is_folder, refuse_other_than_folder
 
 _CLOSE_UPS = {"tele_close": "tele", "wide_close": "wide"}
 _MAX_LISTED = 5
@@ -94,14 +95,15 @@ def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
         UsageError: there is no such folder.
         InputError: it holds no board photos.
     """
-    if not folder.is_dir():
-        found = "is a file" if folder.exists() else "does not exist"
-        raise UsageError(f"{folder} {found}; a folder with photos of a board was expected")
+    refuse_other_than_folder(folder, expected="a folder with photos of a board")
     candidates: _Candidates = defaultdict(lambda: defaultdict(list))
-    for entry in visible_entries(folder):
-        if entry.is_dir():
+    closed: list[BoardShot] = []
+    for entry in filter(is_folder, visible_entries(folder)):
+        try:
             _add_folder(candidates, entry)
-    shots = tuple(_shot(name, views) for name, views in sorted(joined_by_case(candidates).items()))
+        except InputError as error:
+            closed.append(BoardShot(entry.name, None, None, (error.message,)))
+    shots = (*(_shot(name, views) for name, views in sorted(joined_by_case(candidates).items())), *closed)
     if not shots:
         entries = visible_entries(folder)
         inside = f"it holds {listed(entries)}" if entries else "it is empty"

@@ -19,6 +19,7 @@ from telewide.boards.shots import BoardShot, DetectedShot
 from telewide.calibration.sightings import square_px
 from telewide.capture.exif import read_photo_facts
 from telewide.errors import InputError
+from telewide.files import is_folder
 
 WIDER = 1.15
 """A tele lens that sees this much more than the wide one was exchanged with it."""
@@ -79,7 +80,7 @@ def _stated_f35_mm(shots: Sequence[BoardShot]) -> tuple[float, float] | None:
 
 
 def _others(tele: Path) -> str:
-    return "" if tele.is_dir() else ", and so in the folders beside it"
+    return "" if is_folder(tele) else ", and so in the folders beside it"
 
 
 def _places(shots: Sequence[BoardShot]) -> tuple[Path, Path]:

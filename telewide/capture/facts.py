@@ -18,6 +18,7 @@ from typing import Literal
 from pydantic import ConfigDict, field_validator
 
 from telewide.errors import InputError
+from telewide.files import is_there
 from telewide.options import Options, parse_options
 from telewide.ranges import MAX_ASYMMETRY, MAX_BASELINE_M, MAX_CENTRE_SIDES, MAX_FOCAL_SIDES, MAX_SIDE_PX
 from telewide.yaml_files import read_yaml
@@ -94,5 +95,5 @@ def read_facts(path: Path) -> CaptureFacts:
     Raises:
         InputError: not YAML, not a mapping, an unknown key or a value of the wrong type.
     """
-    data = read_yaml(path) if path.exists() else None
+    data = read_yaml(path) if is_there(path) else None
     return parse_options(CaptureFacts, {} if data is None else data, source=str(path), error=InputError)

@@ -25,9 +25,9 @@ from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
 from telewide.capture.layout import TRUTH
 from telewide.capture.lens_choice import ChosenLenses, LensChoice
 from telewide.capture.pairing import PairedRoll, RollPair, RollPhoto, Unpaired, pair_photos
-from telewide.capture.view_files import VIEWS
+from telewide.capture.view_files import VIEWS, visible_entries
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import replacing
+from telewide.files import is_folder, refuse_other_than_folder, replacing
 from telewide.folders import fresh_folder
 from telewide.records import Name, Record, read_record, write_record
 
@@ -113,16 +113,16 @@ def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | 
 
     Raises:
         UsageError: there is no such folder, or both are one.
-        InputError: there are no photos in it.
+        InputError: there are no photos in it, or the folder of the captures cannot be opened.
     """
     _check_folders(dcim, captures)
     files, unread = _photo_files(dcim, captures)
     photos, damaged = _read_roll(files, tick)
-    imported = _imported(captures)
+    lying = visible_entries(captures) if is_folder(captures) else []
+    imported = _imported(lying)
     known = {photo.path: name for photo in photos for key in _keys(photo) if (name := imported.get(key))}
     roll = _pair_whole(photos, choice, frozenset(known))
-    taken = {entry.name.casefold() for entry in captures.iterdir()} if captures.is_dir() else set()
-    taken |= _TAKEN_NAMES
+    taken = {*_TAKEN_NAMES, *(entry.name.casefold() for entry in lying)}
     planned = tuple(PlannedPair(_free_name(pair.tele.path, taken), pair) for pair in roll.pairs)
     unpaired = sorted([*roll.unpaired, *unread, *damaged], key=lambda one: one.photo.path)
     return ImportPlan(planned, tuple(unpaired), tuple(sorted(set(known.values()))), roll.lenses)
@@ -167,12 +167,9 @@ def is_imported(folder: Path) -> bool:
 
 
 def _check_folders(dcim: Path, captures: Path) -> None:
-    if not dcim.exists():
-        raise UsageError(f"{dcim} does not exist; the folder with the phone's photos was expected")
-    if not dcim.is_dir():
-        raise UsageError(f"{dcim} is a file; the folder with the phone's photos was expected")
-    if captures.exists() and not captures.is_dir():
-        raise UsageError(f"{captures} is a file; a folder for the captures was expected")
+    refuse_other_than_folder(dcim, expected="the folder with the phone's photos")
+    if os.path.lexists(captures):
+        refuse_other_than_folder(captures, expected="a folder for the captures")
     if os.path.realpath(dcim) == os.path.realpath(captures):
         raise UsageError(f"{dcim} is both where photos come from and where captures go", hint="name two folders")
 
@@ -284,16 +281,16 @@ def _when(facts: PhotoFacts) -> str:
     return facts.taken.isoformat() if facts.taken else ""
 
 
-def _imported(captures: Path) -> dict[_SourceKey, str]:
+def _imported(folders: Iterable[Path]) -> dict[_SourceKey, str]:
     """Return the photos that lie in capture folders already, by where they came from."""
     found: dict[_SourceKey, str] = {}
-    for path in sorted(captures.glob(f"*/{PAIR_FILE}")):
+    for folder in folders:
         try:
-            record = read_record(path, ImportRecord)
-        except TelewideError:  # not of this kind: its photos come again
+            record = read_record(folder / PAIR_FILE, ImportRecord)
+        except TelewideError:  # none, or not of this kind: its photos come again
             continue
         for photo in (record.tele, record.wide):
-            found[photo.source, photo.bytes, photo.taken or ""] = path.parent.name
+            found[photo.source, photo.bytes, photo.taken or ""] = folder.name
     return found
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,11 +37,12 @@ from telewide.capture.view_files import (
     photos_among,
     visible_entries,
 )
-from telewide.errors import InputError, UsageError
+from telewide.errors import InputError
+from telewide.files import is_file, is_folder, refuse_other_than_folder
 
 _TRUTH_SUFFIX = ".pfm"
 TRUTH = "truth"
-_UNREAD = "unread"
+_UNREAD, _CLOSED = "unread", "closed"
 _MAX_LISTED = 5
 _ROLE_SUFFIX = re.compile(
     r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))",
@@ -117,10 +119,7 @@ def find_captures(folder: Path) -> CaptureSet:
         UsageError: there is no such folder.
         InputError: no capture is left, or ``captures.yaml`` cannot be used.
     """
-    if not folder.exists():
-        raise UsageError(f"{folder} does not exist; a folder with captures was expected")
-    if not folder.is_dir():
-        raise UsageError(f"{folder} is a file; a folder with captures was expected")
+    refuse_other_than_folder(folder, expected="a folder with captures")
     candidates = _candidates(folder)
     captures, problems = _choose(candidates)
     if not captures:
@@ -134,15 +133,28 @@ def _candidates(folder: Path) -> _Candidates:
     found: _Candidates = defaultdict(lambda: defaultdict(list))
     own_name = one_spelling(folder.resolve().name) or "capture"
     for entry in visible_entries(folder):
-        role = entry.name.casefold()
-        if entry.is_dir() and role in {*VIEWS, TRUTH} and not _has_both_views(entry):
-            for file in _files(entry):
-                found[one_spelling(file.stem), "split"][_role_or_unread(file, role)].append(file)
-        elif entry.is_dir():
-            _add_capture_folder(found, entry)
+        if is_folder(entry):
+            try:
+                _add_folder(found, entry)
+            except InputError:
+                found[one_spelling(entry.name), "folder"][_CLOSED].append(entry)
         elif _is_of_interest(entry):
             _add_file(found, entry, own_name)
     return _joined_by_case(found)
+
+
+def _add_folder(found: _Candidates, folder: Path) -> None:
+    """Add what a folder holds: a view of many captures, or one capture.
+
+    Raises:
+        InputError: it cannot be opened.
+    """
+    role = folder.name.casefold()
+    if role in {*VIEWS, TRUTH} and not _has_both_views(folder):
+        for file in _files(folder):
+            found[one_spelling(file.stem), "split"][_role_or_unread(file, role)].append(file)
+    else:
+        _add_capture_folder(found, folder)
 
 
 def _joined_by_case(found: _Candidates) -> _Candidates:
@@ -218,6 +230,8 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
 
 
 def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
+    if _CLOSED in roles:
+        return f"{roles[_CLOSED][0]} cannot be opened"
     if "unnamed" in roles:
         return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
     for view, other in (VIEWS, VIEWS[::-1]):
@@ -256,9 +270,10 @@ def _facts_path(folder: Path, captures: list[Capture]) -> Path | None:
 
 def _nothing_found(folder: Path, problems: list[Problem]) -> InputError:
     entries = visible_entries(folder)
-    for entry in entries:
-        if entry.is_dir() and _choose(_candidates(entry))[0]:
-            return InputError(f"{folder} holds no captures, but {entry} does", hint=f"name {entry} instead")
+    for entry in filter(is_folder, entries):
+        with suppress(InputError):  # a closed one, which is among the problems
+            if _choose(_candidates(entry))[0]:
+                return InputError(f"{folder} holds no captures, but {entry} does", hint=f"name {entry} instead")
     hint = f"expected {_LAYOUTS}"
     if problems:
         told = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems[:_MAX_LISTED])
@@ -273,4 +288,4 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _is_of_interest(path: Path) -> bool:
-    return is_picture(path) or (path.suffix.lower() == _TRUTH_SUFFIX and path.is_file())
+    return is_picture(path) or (path.suffix.lower() == _TRUTH_SUFFIX and is_file(path))

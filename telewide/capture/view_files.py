@@ -14,6 +14,7 @@ from pathlib import Path
 
 from telewide.capture.formats import HEIF_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES, UNREAD_SUFFIXES
 from telewide.errors import InputError
+from telewide.files import is_file
 from telewide.ranges import MAX_FILE_BYTES
 
 VIEWS = ("tele", "wide")
@@ -42,7 +43,7 @@ def visible_entries(folder: Path) -> list[Path]:
 
 def is_picture(path: Path) -> bool:
     """Whether it is a file named like a photo or a film, of any kind that is read or told."""
-    return path.suffix.lower() in PHOTO_SUFFIXES | UNREAD_SUFFIXES and path.is_file()
+    return path.suffix.lower() in PHOTO_SUFFIXES | UNREAD_SUFFIXES and is_file(path)
 
 
 def is_photo_name(path: Path) -> bool:

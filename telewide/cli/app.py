@@ -30,7 +30,7 @@ from telewide.cli.show import SHOW_EPILOG, show
 from telewide.cli.simulate import SIMULATE_EPILOG, simulate
 from telewide.cli.stopping import INTERRUPTED, UNREAD, terminable
 from telewide.cli.train import TRAIN_EPILOG, train
-from telewide.errors import TelewideError
+from telewide.errors import TelewideError, UsageError
 from telewide.text import printable
 from telewide.training.processes import this_process
 
@@ -130,6 +130,8 @@ class _Failure:
 
 def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
     """Say on standard error what went wrong."""
+    if isinstance(error, OSError) and error.filename is not None:  # of a place that no command looks at more closely
+        error = UsageError(f"{error.filename} cannot be used: {error.strerror or error}")
     show = getattr(error, "show", None)  # the parser's own errors know how to show themselves
     with _perhaps_unread(sys.stderr):
         if isinstance(error, TelewideError):

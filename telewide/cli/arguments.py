@@ -9,6 +9,7 @@ import typer
 
 from telewide.cores import Device
 from telewide.errors import UsageError
+from telewide.files import is_folder
 from telewide.matching.methods import Method
 from telewide.ranges import MAX_SEED
 
@@ -57,7 +58,7 @@ def refuse_filled(folder: Path) -> None:
         UsageError: the folder is not empty, or cannot be opened.
     """
     try:
-        is_filled = folder.is_dir() and any(folder.iterdir())
+        is_filled = is_folder(folder) and any(folder.iterdir())
     except OSError as error:
         raise UsageError(f"{folder} cannot be opened: {error.strerror or error}") from error
     if is_filled:

@@ -13,6 +13,7 @@ import typer
 from telewide.cli.arguments import DeviceOption, RigOption, refuse_filled
 from telewide.cli.console import console_observer, say
 from telewide.errors import UsageError
+from telewide.files import is_file, is_folder
 from telewide.ranges import MAX_SEED
 
 if TYPE_CHECKING:
@@ -234,7 +235,7 @@ def _names(text: str | None) -> tuple[str, ...]:
 
 def _run_of(source: Path) -> Path:
     """The run folder itself, or the one a weights file lies in."""
-    return source.absolute().parents[1] if source.is_file() and source.absolute().parent.name == "train" else source
+    return source.absolute().parents[1] if is_file(source) and source.absolute().parent.name == "train" else source
 
 
 @contextmanager
@@ -243,7 +244,9 @@ def _run_with_pairs(sources: Sequence[Path]) -> Iterator[Path]:
     from telewide.stages.run_folder import RunFolder
 
     folders = (_run_of(source) for source in sources)
-    with _folder_or_temporary(next((folder for folder in folders if RunFolder(folder).pairs.is_dir()), None)) as place:
+    with _folder_or_temporary(
+        next((folder for folder in folders if is_folder(RunFolder(folder).pairs)), None)
+    ) as place:
         yield place
 
 

@@ -13,6 +13,7 @@ import typer
 from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
 from telewide.cli.console import console_observer, hand_over
 from telewide.errors import QualityError, UsageError
+from telewide.files import is_folder
 from telewide.ranges import MAX_SEED
 from telewide.text import command_line
 
@@ -91,7 +92,7 @@ def calibrate(
 def _check_out(out: Path) -> None:
     if out.suffix.lower() not in (".yaml", ".yml"):
         raise UsageError(f"--out {out}: a file that ends in .yaml was expected")
-    if out.is_dir():
+    if is_folder(out):
         raise UsageError(f"--out {out} is a folder; a file was expected")
 
 

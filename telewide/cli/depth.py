@@ -23,6 +23,7 @@ from telewide.cli.arguments import (
 from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cores import Device
 from telewide.errors import QualityError, UsageError
+from telewide.files import is_file
 from telewide.matching.methods import Method
 from telewide.text import counted
 
@@ -114,7 +115,7 @@ def depth_options(
     from telewide.depth.pin import parse_known_distance
     from telewide.stages.depth import DepthOptions
 
-    if weights is not None and not weights.is_file():
+    if weights is not None and not is_file(weights):
         raise UsageError(f"{weights} does not exist; a weights file was expected")
     trusts_focus = distance == "exif"
     return DepthOptions(

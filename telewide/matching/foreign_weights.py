@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
-from telewide.files import refuse_strange_file
+from telewide.files import is_file, refuse_strange_file
 
 WRAPPERS = ("state_dict", "params", "model")
 """Under these names checkpoints keep their tensors beside epochs and losses."""
@@ -37,7 +37,7 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
         UsageError: there is no such file.
         InputError: it is no checkpoint, is damaged, or holds more than tensors and plain data.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise UsageError(f"{path}: no such weights file")
     refuse_strange_file(path)
     try:

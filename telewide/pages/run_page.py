@@ -15,6 +15,7 @@ from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.errors import TelewideError
+from telewide.files import is_file
 from telewide.pages.curves import Curve
 from telewide.pages.report import NextStep, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
@@ -44,7 +45,7 @@ def report_row(
     except TelewideError as error:
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
     bokeh = folder / "bokeh.jpg"
-    if bokeh.is_file():
+    if is_file(bokeh):
         pictures.append(thumbnail("bokeh", read_image(bokeh), link=_link(bokeh, root)))
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
 

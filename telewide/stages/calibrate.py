@@ -26,6 +26,7 @@ from telewide.calibration.solver import calibrate_rig
 from telewide.capture.exif import UPRIGHT_DEG, common_pipeline, read_photo_facts
 from telewide.capture.pair import Capture, read_photos
 from telewide.errors import InputError, TelewideError
+from telewide.files import is_folder
 from telewide.pages.board_rig import board_rig_page
 from telewide.pages.report import NextStep
 from telewide.pages.rig_page import write_rig_page
@@ -228,7 +229,7 @@ def calibrate_call(boards: Path, options: CalibrateOptions) -> Invocation:
 def training_call(boards: Path, rig: Path) -> str:
     """The command that trains on captures beside a folder of board photos, with a rig."""
     beside = boards.parent / CAPTURES_FOLDER
-    return command_line("train", beside if beside.is_dir() else CAPTURES_FOLDER, rig=stated_rig(rig))
+    return command_line("train", beside if is_folder(beside) else CAPTURES_FOLDER, rig=stated_rig(rig))
 
 
 def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOptions) -> tuple[NextStep, ...]:

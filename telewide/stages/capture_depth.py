@@ -35,7 +35,7 @@ from telewide.depth.precision_notes import (
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.depth.unrectify import disparity_on_tele
 from telewide.errors import InputError, UsageError, within_memory
-from telewide.files import fingerprint, replacing
+from telewide.files import fingerprint, is_file, replacing
 from telewide.folders import fresh_folder, refuse_links
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
@@ -309,7 +309,7 @@ def _has_bokeh_of(folder: Path, disparity: Path) -> bool:
     if not {BOKEH_NAME, disparity.name} <= listed_files(folder):
         return False
     paths = (folder / BOKEH_NAME, folder / disparity.name)
-    return all(path.is_file() for path in paths) and fingerprint(paths[1]) == fingerprint(disparity)
+    return all(is_file(path) for path in paths) and fingerprint(paths[1]) == fingerprint(disparity)
 
 
 def _result_of_shot(

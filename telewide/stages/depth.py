@@ -16,7 +16,7 @@ from telewide.capture.pair import Problem
 from telewide.cores import Device
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint
+from telewide.files import fingerprint, is_file
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.window import Window, joined_window
@@ -90,7 +90,7 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
         InputError: the run's record or the weights file is damaged.
     """
     recipe = _recipe_of_run(run, captures_root)
-    if weights is None or not weights.is_file():
+    if weights is None or not is_file(weights):
         return recipe
     from telewide.training.checkpoint import read_card
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from telewide import __version__
 from telewide.errors import MissingPartError, QualityError, UsageError, extra_hint
-from telewide.files import replacing
+from telewide.files import is_file, is_folder, replacing
 from telewide.matching.window import Window, check_stated_window
 from telewide.stages.run_folder import RunFolder
 
@@ -71,8 +71,8 @@ def export_model(
         MissingPartError: the extra ``onnx`` is not installed.
         QualityError: onnxruntime computes something else; nothing was written.
     """
-    found = RunFolder(weights).weights if weights.is_dir() else weights
-    if not found.is_file():  # like all below, said before torch is imported, which takes seconds
+    found = RunFolder(weights).weights if is_folder(weights) else weights
+    if not is_file(found):  # like all below, said before torch is imported, which takes seconds
         raise UsageError(f"{found} does not exist; a run folder with a trained network, or its weights, was expected")
     _refuse_impossible(window, hw)
     _require_parts()

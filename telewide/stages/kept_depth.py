@@ -13,7 +13,7 @@ from pydantic import Field, JsonValue
 
 from telewide.depth.export import NPZ_NAME
 from telewide.errors import TelewideError, UsageError
-from telewide.files import changing, temporary_name
+from telewide.files import changing, is_file, is_folder, temporary_name
 from telewide.records import Figure, Name, Record, as_read, checked, read_json, read_record, write_record
 
 FORMAT = 4
@@ -117,7 +117,7 @@ def refuse_results_of_another(folder: Path, source: Path) -> None:
         made_of = read_record(folder / KEPT_NAME, KeptRecord).source
     except TelewideError:
         return
-    if made_of is not None and Path(made_of).is_file() and not Path(made_of).samefile(source):
+    if made_of is not None and is_file(Path(made_of)) and not Path(made_of).samefile(source):
         raise UsageError(
             f"{folder} holds the depth of another photo, {made_of}", hint="name another folder with `out` or `run`"
         )
@@ -130,7 +130,7 @@ def listed_files(folder: Path) -> frozenset[str]:
     something else than that, or a folder, was not written by telewide.
     """
     path = folder / KEPT_NAME
-    if not path.is_file():
+    if not is_file(path):
         return frozenset()
     listed: Collection[str] = FILE_NAMES
     with suppress(TelewideError):
@@ -142,7 +142,7 @@ def listed_files(folder: Path) -> frozenset[str]:
         listed = record.files_bytes or record.files
         if not listed:
             return frozenset()
-    return frozenset((*(name for name in FILE_NAMES if name in listed and not (folder / name).is_dir()), KEPT_NAME))
+    return frozenset((*(name for name in FILE_NAMES if name in listed and not is_folder(folder / name)), KEPT_NAME))
 
 
 def put_in_place(staged: Path, folder: Path) -> None:
@@ -184,7 +184,7 @@ def _put_in_place(staged: Path, folder: Path) -> None:
 
 def _is_file_of(folder: Path, name: str, n_bytes: int | None) -> bool:
     path = folder / name
-    return Path(name).name == name and path.is_file() and path.stat().st_size == n_bytes
+    return Path(name).name == name and is_file(path) and path.stat().st_size == n_bytes
 
 
 def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], source: Path | None = None) -> None:

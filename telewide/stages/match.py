@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from telewide.assets import BOX_WEIGHTS
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint
+from telewide.files import fingerprint, is_file
 from telewide.matching.matcher import LEARNED_STD, Matcher
 from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
@@ -39,7 +39,7 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Match
         MissingPartError: cuda was asked for and is not there.
     """
     path = weights or call.folder.weights
-    if method != "sgm" and not path.is_file():  # said before torch is imported, which takes seconds
+    if method != "sgm" and not is_file(path):  # said before torch is imported, which takes seconds
         if weights is not None:
             raise UsageError(f"{path} does not exist; a weights file was expected")
         path = BOX_WEIGHTS
@@ -92,7 +92,7 @@ def _unfinished(weights: Path, card: WeightsCard) -> str | None:
     from telewide.training.stages import plan_stages
 
     state_path = weights.with_name(STATE_NAME)
-    if weights.name != WEIGHTS_NAME or not state_path.is_file():
+    if weights.name != WEIGHTS_NAME or not is_file(state_path):
         return None
     try:
         plan = plan_stages(parse_options(Recipe, card.recipe, source=str(weights), error=InputError).train)

@@ -21,7 +21,7 @@ from importlib import metadata
 from pathlib import Path
 
 from telewide.errors import TelewideError, UsageError
-from telewide.files import fingerprint, write_text
+from telewide.files import fingerprint, is_folder, is_there, write_text
 from telewide.folders import refuse_links
 from telewide.records import read_json
 from telewide.text import json_text
@@ -96,8 +96,8 @@ def locate_run(run: Path | None, captures_root: Path) -> RunFolder:
         if linked is not None:
             target = linked.readlink()
             raise UsageError(f"{linked} is a link to {target}", hint="name the run folder itself")
-        run = beside if beside.is_dir() and not here.exists() else here
-    if run.exists() and not run.is_dir():
+        run = beside if is_folder(beside) and not is_there(here) else here
+    if is_there(run) and not is_folder(run):
         raise UsageError(f"{run} is a file; the run folder was expected there", hint="name another one")
     return RunFolder(run)
 
@@ -117,7 +117,7 @@ def locate_run_of_depth(run: Path | None, captures_root: Path, *, out: Path | No
         UsageError: see `locate_run`.
         InputError: the hidden one is a link.
     """
-    if run is not None or out is None or locate_run(None, captures_root).root.exists():
+    if run is not None or out is None or is_there(locate_run(None, captures_root).root):
         return run
     hidden = out / ".telewide"
     refuse_links(out, hidden)
@@ -158,7 +158,7 @@ def write_run_record(
 
 def _read_record(path: Path) -> dict[str, object]:
     """Return the record so far; a damaged one is started anew: a finished run must not fail because of it."""
-    if not path.exists():
+    if not is_there(path):
         return {}
     try:
         record = read_json(path)

@@ -24,7 +24,7 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
-from telewide.files import changing
+from telewide.files import changing, is_file, is_folder
 from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
@@ -177,7 +177,7 @@ def _damage_told(anew: str) -> Iterator[None]:
 
 def _note_what_is_taken_up(run: RunFolder, record: TrainingRecord, state: TrainingState) -> None:
     """Record first that something is left to do, then that new captures are known: a stop in between loses neither."""
-    if (run.train / STATE_NAME).is_file():
+    if is_file(run.train / STATE_NAME):
         save_state(state, run.train / STATE_NAME)
     write_training(run, record)
     drop_log_after(run.training_log, stage_index=state.stage_index, step=state.step)
@@ -201,7 +201,7 @@ def _where_it_stands(
 def state_for(run: RunFolder, recipe: Recipe, device: torch.device) -> TrainingState:
     """Read the training that lies in a run folder, or begin one."""
     path = run.train / STATE_NAME
-    if path.is_file():
+    if is_file(path):
         return load_state(path, network_name=recipe.network, device=device, plan=plan_stages(recipe.train))
     weights = BOX_WEIGHTS if recipe.train.start == "box" else None
     return new_state(recipe.network, seed=recipe.seed, device=device, weights=weights)
@@ -305,9 +305,9 @@ def forget(run: RunFolder) -> None:
 
     The record goes last, so that what is left after a stop still has its record.
     """
-    if run.train.is_dir():
+    if is_folder(run.train):
         for path in sorted(run.train.iterdir(), key=lambda path: path.name == run.training_record.name):
-            if _OWN_FILES.fullmatch(path.name) and not path.is_dir():
+            if _OWN_FILES.fullmatch(path.name) and not is_folder(path):
                 with changing(path):
                     path.unlink()
 

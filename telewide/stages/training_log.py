@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from telewide.files import changing, write_text
+from telewide.files import changing, is_file, write_text
 from telewide.folders import append_line
 from telewide.pages.contact import ContactRow, contact_sheet, write_sheet
 from telewide.records import record_text
@@ -79,7 +79,7 @@ class LoggedReporter:
 
 def drop_log_after(path: Path, *, stage_index: int, step: int) -> None:
     """Forget the lines of steps that a resumed training takes again."""
-    if path.is_file():
+    if is_file(path):
         kept = [_text(line) for line in read_log(path) if (line.stage_index, line.step) <= (stage_index, step)]
         write_text(path, "".join(f"{line}\n" for line in kept))
 

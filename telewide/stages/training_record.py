@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, JsonValue
 
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint
+from telewide.files import fingerprint, is_there
 from telewide.matching.window import Window, check_stated_window
 from telewide.recipe import Recipe, differing_keys
 from telewide.records import Name, Record, read_record, write_record
@@ -62,7 +62,7 @@ def read_training(run: RunFolder) -> TrainingRecord | None:
         InputError: the file is damaged.
     """
     path = run.training_record
-    if not path.exists():
+    if not is_there(path):
         return None
     try:
         record = read_record(path, TrainingRecord)

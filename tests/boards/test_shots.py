@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from boards.board_photos import board_photo, pattern_points_m, projected, px_from_pattern
+from ordinary_user import as_ordinary_user
 
 from telewide.boards.board import Board
 from telewide.boards.detection import BoardView
@@ -115,6 +116,24 @@ def test_bad_photos_are_notes_and_the_others_are_used(tmp_path: Path) -> None:
     assert "tele.jpg" in b.notes[0]
     assert "no board found" in c.notes[0]
     assert "does not exist" in gone.notes[0]
+
+
+def test_what_nobody_can_look_at_leaves_the_others(tmp_path: Path) -> None:
+    touch(tmp_path, "good/tele.png", "good/wide.png", "lost+found/tele.png")
+    (tmp_path / "long").symlink_to("x" * 300)
+    (tmp_path / "good" / "tele.jpg").symlink_to("x" * 300)
+
+    def look() -> None:
+        good, closed = find_board_shots(tmp_path)
+        assert (good.name, good.notes) == ("good", ())
+        assert (closed.tele_path, closed.wide_path) == (None, None)
+        assert closed.notes == (f"{tmp_path / 'lost+found'} cannot be opened: Permission denied",)
+
+    try:
+        (tmp_path / "lost+found").chmod(0)
+        as_ordinary_user(tmp_path, look)
+    finally:
+        (tmp_path / "lost+found").chmod(0o755)
 
 
 def test_no_board_anywhere_is_an_error(tmp_path: Path) -> None:

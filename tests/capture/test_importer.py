@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import pwd
 import stat
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from capture.dng import write_dng
 from capture.roll import TELE, WIDE, exif_of, write_photo
+from ordinary_user import as_ordinary_user
 
 from telewide.capture.importer import ImportPlan, carry_out, plan_import
 from telewide.capture.layout import find_captures
@@ -30,23 +28,6 @@ def shoot_raw(folder: Path, name: str, second: int) -> Path:
     """A DNG that states its time and camera, but not its lens: that stands in its twin alone."""
     texts = {271: "Maker", 272: "Phone 1", 36867: f"2026:05:01 12:00:{second:02d}"}
     return write_dng(folder / name, FLAT, texts=texts)
-
-
-def as_ordinary_user(home: Path, act: Callable[[], None]) -> None:
-    """Do something as a user who is not root, whom no permission stops; where this already is one, as it."""
-    if os.geteuid() != 0:
-        act()
-        return
-    for folder in (home, *home.parents):
-        if folder.stat().st_uid == 0 and folder.stat().st_mode & 0o001 == 0:
-            folder.chmod(folder.stat().st_mode | 0o055)
-    home.chmod(0o777)
-    nobody = pwd.getpwnam("nobody").pw_uid
-    os.seteuid(nobody)
-    try:
-        act()
-    finally:
-        os.seteuid(0)
 
 
 def planned(plan: ImportPlan) -> dict[str, tuple[str, str]]:

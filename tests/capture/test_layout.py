@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ordinary_user import as_ordinary_user
 
 from telewide.capture.images import write_image
 from telewide.capture.layout import CaptureSet, find_captures
@@ -219,12 +220,39 @@ def test_a_link_to_nowhere_is_a_missing_view(tmp_path: Path) -> None:
     assert "the wide view is missing" in the_problem(tmp_path)
 
 
+def test_what_nobody_can_look_at_leaves_the_others(tmp_path: Path) -> None:
+    """A folder that is closed, as lost+found is, and links with too long a name or into a closed folder."""
+    fill(tmp_path, ["good/tele.jpg", "good/wide.jpg", "lost+found/tele.jpg"])
+    for place in ("long", "good/truth.pfm", "good/tele.png", "long_tele.jpg", "captures.yaml"):
+        (tmp_path / place).symlink_to("x" * 300)
+    (tmp_path / "behind").symlink_to(tmp_path / "lost+found" / "tele.jpg")
+
+    def look() -> None:
+        captures = find_captures(tmp_path)
+        assert found(captures) == {"good": ("good/tele.jpg", "good/wide.jpg")}
+        assert [problem.message for problem in captures.problems] == [f"{tmp_path / 'lost+found'} cannot be opened"]
+
+    def look_again() -> None:
+        with pytest.raises(InputError, match=r"no capture that can be used:\n  good: .* cannot be opened"):
+            find_captures(tmp_path)
+
+    try:
+        for name, looking in (("lost+found", look), ("good", look_again)):
+            (tmp_path / name).chmod(0)
+            as_ordinary_user(tmp_path, looking)
+    finally:
+        for name in ("lost+found", "good"):
+            (tmp_path / name).chmod(0o755)
+
+
 # --- folders without captures
 
 
 def test_a_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not exist"):
         find_captures(tmp_path / "nothing")
+    with pytest.raises(UsageError, match="cannot be opened: File name too long; a folder with captures was expected"):
+        find_captures(tmp_path / ("x" * 300))
 
 
 def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:

@@ -285,6 +285,29 @@ def test_what_is_less_than_asked_for_is_said_quietly_too_and_stands_in_the_answe
     assert json.loads(told.out)["warnings"] == ["the rig is marked insufficient"]
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(("depth", "LONG"), ("depth", "--run", "LONG"), ("depth", "--method", "sgm", "--out", "LONG")),
+        *(("depth", "--weights", "LONG"), ("train", "--recipe", "LONG"), ("train", "--out", "LONG"), ("show", "LONG")),
+        *(("board", "LONG"), ("board", "LONG.yaml"), ("board", "chessboard_9x6", "--out", "LONG.pdf")),
+        *(("calibrate", "LONG"), ("calibrate", "--from-scenes", "LONG")),
+        *(("import", "LONG"), ("import", "captures", "LONG"), ("export-model", "LONG"), ("simulate", "LONG")),
+        *(("benchmark", "matches", "LONG"), ("benchmark", "matches", "captures", "--run", "LONG")),
+        *(("benchmark", "middlebury", "LONG"), ("benchmark", "paper", "--table", "overall", "--data", "LONG")),
+    ],
+)
+def test_a_name_too_long_for_any_file_is_a_wrong_call(
+    words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = run_cli(*(word.replace("LONG", "x" * 300) for word in words))
+    told = capsys.readouterr()
+    assert code in {2, 3}
+    assert told.err.count("\n") <= 2
+    assert "xxx" in told.err or "captures" in told.err
+    assert sorted(path.name for path in captures.parent.iterdir()) == ["captures"]
+
+
 def test_our_own_fault_asks_for_a_report(
     captures: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

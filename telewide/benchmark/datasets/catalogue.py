@@ -14,6 +14,7 @@ from telewide.benchmark.datasets import kitti, light_fields, middlebury
 from telewide.benchmark.datasets.own_captures import captures_with_truth, read_capture_with_truth
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.errors import InputError, UsageError, unknown_name
+from telewide.files import is_folder
 
 Views = tuple[int, int]
 """Numbers of the left and the right view, where a set has more than two."""
@@ -171,7 +172,7 @@ def locate(data_set: DataSet, data_root: Path) -> Path | None:
     Raises:
         UsageError: there is no data folder.
     """
-    if not data_root.is_dir():
+    if not is_folder(data_root):
         raise UsageError(f"{data_root} is no folder; the folder that holds the data sets was expected")
     longer = sorted(path for path in data_root.glob(f"{data_set.name}_*") if path.name not in DATA_SETS)
     return next((path for path in (data_root / data_set.name, *longer) if _has_scenes(data_set, path)), None)
@@ -187,6 +188,6 @@ def missing_note(data_set: DataSet, data_root: Path) -> str:
 
 def _has_scenes(data_set: DataSet, root: Path) -> bool:
     try:
-        return root.is_dir() and bool(data_set.scenes(root))
+        return is_folder(root) and bool(data_set.scenes(root))
     except InputError:
         return False

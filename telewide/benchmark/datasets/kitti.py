@@ -15,6 +15,7 @@ import numpy as np
 from telewide.benchmark.datasets.levels import read_scaled_disparity, read_view
 from telewide.benchmark.datasets.truth import StereoTruth, checked_truth
 from telewide.errors import UsageError
+from telewide.files import is_file, is_folder, is_there
 from telewide.geometry.arrays import FloatMap
 
 _SCALE = 256
@@ -64,19 +65,19 @@ def read_kitti(root: Path, frame: str, *, layout: KittiLayout) -> StereoTruth:
         InputError: a file cannot be read, they differ in size, or the disparities have no 16 bits.
     """
     training, name = _training(root), f"{frame}.png"
-    views = next((pair for pair in layout.views if (training / pair[0] / name).is_file()), None)
+    views = next((pair for pair in layout.views if is_file(training / pair[0] / name)), None)
     if views is None:
         expected = " or ".join(pair[0] for pair in layout.views)
         raise UsageError(f"{training} holds no frame {frame}; {expected}/{name} was expected")
     disparity_px = _disparity(training / layout.all_known / name)
     visible_path = training / layout.visible / name
-    occluded = np.isnan(_disparity(visible_path)) & ~np.isnan(disparity_px) if visible_path.exists() else None
+    occluded = np.isnan(_disparity(visible_path)) & ~np.isnan(disparity_px) if is_there(visible_path) else None
     left, right = (read_view(training / folder / name) for folder in views)
     return checked_truth(training / layout.all_known / name, StereoTruth(left, right, disparity_px, occluded))
 
 
 def _training(root: Path) -> Path:
-    return root / "training" if (root / "training").is_dir() else root
+    return root / "training" if is_folder(root / "training") else root
 
 
 def _disparity(path: Path) -> FloatMap:

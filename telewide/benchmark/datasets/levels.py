@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from telewide.capture.formats import read_bytes
 from telewide.capture.images import read_image
 from telewide.errors import InputError
+from telewide.files import is_file
 from telewide.geometry.arrays import FloatImage, FloatMap
 
 _PORTABLE = (".ppm", ".pgm")
@@ -20,7 +21,7 @@ _SUFFIXES = (".png", *_PORTABLE)
 
 def picture_path(folder: Path, stem: str) -> Path | None:
     """Find a picture by its name without suffix, as PNG, PPM or PGM; None where there is none."""
-    return next((path for suffix in _SUFFIXES if (path := folder / f"{stem}{suffix}").is_file()), None)
+    return next((path for suffix in _SUFFIXES if is_file(path := folder / f"{stem}{suffix}")), None)
 
 
 def read_view(path: Path) -> FloatImage:

@@ -16,6 +16,7 @@ from telewide.benchmark.datasets.levels import read_view
 from telewide.benchmark.datasets.truth import StereoTruth, checked_truth, occluded_by_cross_check
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
+from telewide.files import is_there
 from telewide.geometry.arrays import FloatMap
 from telewide.npz import read_npy
 
@@ -97,9 +98,9 @@ def _hci_view_name(view: int) -> str:
 def _hci_disparity(folder: Path, view: int) -> FloatMap | None:
     """Disparity of one view: from the supplement with the maps of all views, or the set's own of the middle one."""
     path = folder / f"gt_disp_lowres_Cam{view:03d}.pfm"
-    if not path.exists() and view == MIDDLE:
+    if not is_there(path) and view == MIDDLE:
         path = folder / "gt_disp_lowres.pfm"
-    return read_pfm(path) if path.exists() else None
+    return read_pfm(path) if is_there(path) else None
 
 
 def _inria_place(view: int) -> str:
@@ -112,7 +113,7 @@ def _inria_view_name(view: int) -> str:
 
 def _inria_disparity(folder: Path, view: int) -> FloatMap | None:
     path = folder / f"disparity_{_inria_place(view)}.npy"
-    if not path.exists():
+    if not is_there(path):
         return None
     stored = np.squeeze(read_npy(path))
     if stored.ndim != 2 or stored.dtype.kind not in "fiu":

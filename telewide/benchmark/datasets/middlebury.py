@@ -21,7 +21,7 @@ from telewide.capture.facts import FACTS_FILE
 from telewide.capture.images import write_image
 from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.errors import InputError, UsageError
-from telewide.files import write_text
+from telewide.files import is_file, is_folder, is_there, write_text
 from telewide.geometry.arrays import BoolMap, FloatMap
 from telewide.simulate.degrade import shrink_and_enlarge
 
@@ -52,7 +52,7 @@ _LAYOUTS_2001 = (
 
 def scenes_2001(root: Path) -> tuple[str, ...]:
     """List the scenes of a Middlebury 2001 folder, sorted."""
-    return tuple(sorted(e.name for e in root.iterdir() if e.is_dir() and _layout_2001(e) is not None))
+    return tuple(sorted(e.name for e in root.iterdir() if is_folder(e) and _layout_2001(e) is not None))
 
 
 def read_middlebury_2001(scene_folder: Path) -> StereoTruth:
@@ -73,7 +73,7 @@ def read_middlebury_2001(scene_folder: Path) -> StereoTruth:
 
 def scenes_2003(root: Path) -> tuple[str, ...]:
     """List the scenes of a Middlebury 2003 folder, sorted."""
-    return tuple(sorted(e.name for e in root.iterdir() if e.is_dir() and picture_path(e, "disp2") is not None))
+    return tuple(sorted(e.name for e in root.iterdir() if is_folder(e) and picture_path(e, "disp2") is not None))
 
 
 def read_middlebury_2003(scene_folder: Path) -> StereoTruth:
@@ -113,7 +113,7 @@ def middlebury_2006_scenes(root: Path) -> tuple[str, ...]:
         UsageError: there is no such folder.
         InputError: it holds no scene.
     """
-    if not root.is_dir():
+    if not is_folder(root):
         raise UsageError(f"{root} is no folder; the folder of the Middlebury 2006 scenes was expected")
     scenes = tuple(sorted(entry.parent.name for entry in root.glob(f"*/{_LEFT}")))
     if not scenes:
@@ -141,11 +141,11 @@ def read_middlebury_2006(scene_folder: Path, *, scale_denominator: int, right_vi
         raise UsageError(f"view {right_view} of {scene_folder}: a view to the right of view 1, 2 to 6, was expected")
     left, right = read_view(scene_folder / _LEFT), read_view(scene_folder / f"view{right_view}.png")
     stored = scene_folder / _LEFT_DISPARITY
-    if not stored.exists():
+    if not is_there(stored):
         return StereoTruth(left, right, np.full(left.shape[:2], np.nan, np.float32))
     of_view5_px = read_scaled_disparity(stored, scale=scale_denominator)
     occluded = None
-    if right_view == 5 and (path := scene_folder / "disp5.png").exists():
+    if right_view == 5 and is_there(path := scene_folder / "disp5.png"):
         occluded = _cross_checked(scene_folder, of_view5_px, read_scaled_disparity(path, scale=scale_denominator))
     disparity_px = (of_view5_px * ((right_view - 1) / 4)).astype(np.float32)
     return checked_truth(scene_folder, StereoTruth(left, right, disparity_px, occluded))
@@ -153,7 +153,7 @@ def read_middlebury_2006(scene_folder: Path, *, scale_denominator: int, right_vi
 
 def scenes_2014(root: Path) -> tuple[str, ...]:
     """List the scenes of a Middlebury 2014 folder, sorted."""
-    return tuple(sorted(e.name for e in root.iterdir() if e.is_dir() and (e / "im0.png").is_file()))
+    return tuple(sorted(e.name for e in root.iterdir() if is_folder(e) and is_file(e / "im0.png")))
 
 
 def read_middlebury_2014(scene_folder: Path) -> StereoTruth:
@@ -171,9 +171,9 @@ def read_middlebury_2014(scene_folder: Path) -> StereoTruth:
     disparity_px = read_pfm(_pfm_2014(scene_folder, 0))
     mask_path, right_path = scene_folder / "mask0nocc.png", _pfm_2014(scene_folder, 1)
     occluded = None
-    if mask_path.exists():
+    if is_there(mask_path):
         occluded = read_levels(mask_path) == _OCCLUDED
-    elif right_path.exists():
+    elif is_there(right_path):
         occluded = _cross_checked(scene_folder, disparity_px, read_pfm(right_path))
     return checked_truth(scene_folder, StereoTruth(left, right, disparity_px, occluded))
 
@@ -240,4 +240,4 @@ def _cross_checked(folder: Path, left_px: FloatMap, right_px: FloatMap) -> BoolM
 
 def _pfm_2014(folder: Path, view: int) -> Path:
     evaluated = folder / f"disp{view}GT.pfm"
-    return evaluated if evaluated.exists() else folder / f"disp{view}.pfm"
+    return evaluated if is_there(evaluated) else folder / f"disp{view}.pfm"
