@@ -4,14 +4,23 @@ A pixel near a depth edge takes the weighted median of the disparities around it
 colour is alike, where it is close, where its disparity is confident, and where it lies away from the edge, whose place
 is what is in doubt. A median always is one of its values, so no disparity between two surfaces appears: averaged edges
 cost a bokeh 13 dB, more than edges 3 px out of place.
-Letters: H W image; N pixels near an edge; K pixels of the window around each.
+A large photo is followed at a fraction of its size, where a matcher's map has its detail, and then at its own size in a
+narrow band along the edges found.
+Letters: H W image, h w at a fraction of its size; N places; K pixels of the window around each.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from telewide.cores import usable_cores
+from telewide.depth.votes import agreeing_share, tiles_of, voters_of, votes_around, weighted_median
 from telewide.errors import InputError
 from telewide.geometry.arrays import BoolMap, FloatMap, IntArray
 
@@ -19,13 +28,15 @@ JUMP_PX = 1.0  # a difference between neighbours that is an edge and no slope, i
 DOUBT_PX = 4  # how far from its true place a matcher leaves an edge
 REACH_PX = 8  # half the window
 STEP_PX = 2  # every other pixel of the window is enough
-FULL_SCALE_WIDTH_PX = 1600  # DOUBT_PX, REACH_PX and STEP_PX are for photos up to this width, and grow with larger ones
+FULL_SCALE_WIDTH_PX = 1600  # photos up to this width are followed at their own size, larger ones at a fraction first
 ROUNDS = 3
-COLOUR_SIGMA = 0.06  # of sRGB values
 EDGE_WEIGHT = 0.15  # of a neighbour within DOUBT_PX of an edge
 FILLED_WEIGHT = 0.25  # of a neighbour that was not measured
 KEEP_SHARE = 0.35  # of the weight around a pixel that must agree with it, for it to stay as it is
+FINE_REACH_PX = 2  # half the window of the second pass, px of the fraction
 CHUNK = 16384
+
+Item = TypeVar("Item")
 
 
 def nearest_known(known: BoolMap) -> tuple[FloatMap, IntArray]:
@@ -85,14 +96,29 @@ def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: Flo
     sizes = {disparity_px.shape, guide_rgb.shape[:2], confidence.shape, valid.shape}
     if len(sizes) > 1:
         raise InputError(f"disparity, photo, confidence and valid mask must have one size, found {sorted(sizes)}")
+    filled_px = fill_unknown(disparity_px)
+    trust = np.clip(confidence, 0.05, 1) * np.where(valid, np.float32(1), np.float32(FILLED_WEIGHT))
     scale = max(1, round(disparity_px.shape[1] / FULL_SCALE_WIDTH_PX))
-    followed_px = fill_unknown(disparity_px)
-    trust = (np.clip(confidence, 0.05, 1) * np.where(valid, 1.0, FILLED_WEIGHT)).astype(np.float32)
+    if scale == 1:
+        return _followed(filled_px, guide_rgb, trust)
+    wh = -(-disparity_px.shape[1] // scale), -(-disparity_px.shape[0] // scale)
+    small_trust, small_px = (
+        cv2.resize(plane, wh, interpolation=cv2.INTER_NEAREST_EXACT) for plane in (trust, filled_px)
+    )
+    small_guide = np.asarray(cv2.resize(guide_rgb, wh, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    small_px = _followed(np.asarray(small_px, dtype=np.float32), small_guide, np.asarray(small_trust, dtype=np.float32))
+    lies_at_edge = _near_edge(small_px, margin_px=0)
+    weight = np.asarray(small_trust * np.where(lies_at_edge, EDGE_WEIGHT, 1), dtype=np.float32)
+    return _at_own_size(filled_px, guide_rgb, small_px=small_px, small_guide=small_guide, weight=weight)
+
+
+def _followed(disparity_px: FloatMap, guide_rgb: FloatMap, trust: FloatMap) -> FloatMap:
+    """Move edges by up to half a window, in rounds: after each, less is in doubt."""
     for _ in range(ROUNDS):
-        doubtful = _near_edge(followed_px, margin_px=DOUBT_PX * scale)
+        doubtful = _near_edge(disparity_px, margin_px=DOUBT_PX)
         weight = trust * np.where(doubtful, np.float32(EDGE_WEIGHT), np.float32(1))
-        followed_px = _snapped(followed_px, guide_rgb, weight, np.flatnonzero(doubtful), scale=scale)
-    return followed_px
+        disparity_px = _snapped(disparity_px, guide_rgb, weight, doubtful)
+    return disparity_px
 
 
 def _near_edge(disparity_px: FloatMap, *, margin_px: int) -> BoolMap:
@@ -102,36 +128,69 @@ def _near_edge(disparity_px: FloatMap, *, margin_px: int) -> BoolMap:
     return np.asarray(cv2.dilate(jump.astype(np.uint8), disk) > 0)
 
 
-def _snapped(disparity_px: FloatMap, guide_rgb: FloatMap, weight: FloatMap, index: IntArray, *, scale: int) -> FloatMap:
-    """Take the weighted median at the pixels of a flat index whose surroundings do not bear them out."""
-    height, width = disparity_px.shape
-    offset = np.arange(-REACH_PX, REACH_PX + 1, STEP_PX) * scale
-    dy, dx = (d.ravel() for d in np.meshgrid(offset, offset, indexing="ij"))
-    closeness_K = np.exp(-0.5 * (dx**2 + dy**2) / (0.75 * REACH_PX * scale) ** 2).astype(np.float32)
-    colour, values, weights = guide_rgb.reshape(-1, 3), disparity_px.ravel(), weight.ravel()
-    snapped = values.copy()
-    for start in range(0, len(index), CHUNK):
-        at_N = index[start : start + CHUNK]
-        y, x = np.divmod(at_N, width)
-        inside_NK = _inside(y, dy, height) & _inside(x, dx, width)
-        near_NK = np.where(inside_NK, (y[:, None] + dy) * width + x[:, None] + dx, at_N[:, None])
-        unlike_NK = ((colour[near_NK] - colour[at_N][:, None]) ** 2).sum(axis=2) / np.float32(2 * COLOUR_SIGMA**2)
-        weight_NK = weights[near_NK] * closeness_K * np.exp(-unlike_NK) * inside_NK
-        near_px_NK, own_px_N = values[near_NK], values[at_N]
-        agree_NK = np.abs(near_px_NK - own_px_N[:, None]) <= JUMP_PX
-        is_held_N = (weight_NK * agree_NK).sum(axis=1) >= KEEP_SHARE * weight_NK.sum(axis=1)
-        snapped[at_N] = np.where(is_held_N, own_px_N, _weighted_median(near_px_NK, weight_NK))
-    return snapped.reshape(height, width)
+def _snapped(disparity_px: FloatMap, guide_rgb: FloatMap, weight: FloatMap, doubtful: BoolMap) -> FloatMap:
+    """Take the weighted median at the doubtful pixels whose surroundings do not bear them out."""
+    voters = voters_of(disparity_px, guide_rgb, weight, margin=REACH_PX)
+    offset = np.arange(-REACH_PX, REACH_PX + 1, STEP_PX)
+    closeness = np.exp(-0.5 * (offset[:, None] ** 2 + offset**2) / (0.75 * REACH_PX) ** 2).astype(np.float32)
+    loose = np.zeros(doubtful.shape, np.bool_)
+
+    def test(tile: tuple[slice, slice]) -> None:
+        share = agreeing_share(voters, tile, offset_J=offset, closeness_JJ=closeness)
+        loose[tile] = doubtful[tile] & (share < KEEP_SHARE)
+
+    _in_threads(test, tiles_of(doubtful))
+    at_y, at_x = np.nonzero(loose)
+    snapped_px = disparity_px.copy()
+
+    def decide(start: int) -> None:
+        y, x = at_y[start : start + CHUNK], at_x[start : start + CHUNK]
+        votes = votes_around(voters, guide_rgb[y, x], (y, x), offset_J=offset, closeness=closeness.ravel())
+        snapped_px[y, x] = weighted_median(*votes)
+
+    _in_threads(decide, range(0, len(at_y), CHUNK))
+    return snapped_px
 
 
-def _inside(at_N: IntArray, offset_K: IntArray, size: int) -> BoolMap:
-    near_NK = at_N[:, None] + offset_K
-    return (near_NK >= 0) & (near_NK < size)
+def _at_own_size(
+    disparity_px: FloatMap, guide_rgb: FloatMap, *, small_px: FloatMap, small_guide: FloatMap, weight: FloatMap
+) -> FloatMap:
+    """Bring edges found at a fraction of the size (h, w) to the photo's own pixels (H, W)."""
+    wh = disparity_px.shape[::-1]
+    followed_px = np.asarray(cv2.resize(small_px, wh, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
+    # On one surface the map keeps its own values, which are finer.
+    np.copyto(followed_px, disparity_px, where=np.abs(followed_px - disparity_px) <= JUMP_PX)
+    voters = voters_of(small_px, small_guide, weight, margin=FINE_REACH_PX)
+    offset = np.arange(-FINE_REACH_PX, FINE_REACH_PX + 1)
+    band = _near_edge(small_px, margin_px=FINE_REACH_PX - 1).astype(np.uint8)
+    at_y, at_x = np.nonzero(cv2.resize(band, wh, interpolation=cv2.INTER_NEAREST_EXACT))
+
+    def decide(start: int) -> None:
+        y, x = at_y[start : start + CHUNK], at_x[start : start + CHUNK]
+        (row, closeness_y), (column, closeness_x) = (
+            _place(own, offset, scale=small / full)
+            for own, small, full in zip((y, x), small_px.shape, disparity_px.shape, strict=True)
+        )
+        closeness_NK = (closeness_y[:, :, None] * closeness_x[:, None]).reshape(len(y), -1)
+        value_NK, vote_NK = votes_around(
+            voters, guide_rgb[y, x], (row, column), offset_J=offset, closeness=closeness_NK
+        )
+        agreeing_N = (vote_NK * (np.abs(value_NK - followed_px[y, x][:, None]) <= JUMP_PX)).sum(axis=1)
+        loose = np.flatnonzero(agreeing_N < vote_NK.sum(axis=1) / 2)
+        followed_px[y[loose], x[loose]] = weighted_median(value_NK[loose], vote_NK[loose])
+
+    _in_threads(decide, range(0, len(at_y), CHUNK))
+    return followed_px
 
 
-def _weighted_median(value_NK: FloatMap, weight_NK: FloatMap) -> FloatMap:
-    """The value with half the weight below it, one of the row's own."""
-    order = np.argsort(value_NK, axis=1)
-    below_NK = np.take_along_axis(weight_NK, order, axis=1).cumsum(axis=1)
-    middle = (below_NK >= below_NK[:, -1:] / 2).argmax(axis=1)
-    return np.take_along_axis(value_NK, np.take_along_axis(order, middle[:, None], axis=1), axis=1)[:, 0]
+def _place(at_N: IntArray, offset: IntArray, *, scale: float) -> tuple[NDArray[np.int64], FloatMap]:
+    """Nearest row (or column) at a fraction of the size, and what the rows around it weigh, (N, 5)."""
+    exact_N = (at_N + 0.5) * scale - 0.5
+    nearest_N = np.rint(exact_N).astype(np.int64)
+    away_NJ = (nearest_N - exact_N)[:, None] + offset
+    return nearest_N, np.exp(-0.5 * (away_NJ / (FINE_REACH_PX / 2)) ** 2).astype(np.float32)
+
+
+def _in_threads(work: Callable[[Item], None], items: Iterable[Item]) -> None:
+    with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
+        list(pool.map(work, items))

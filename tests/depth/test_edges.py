@@ -11,6 +11,7 @@ import pytest
 from bokeh.layered_world import World, random_world, reference_world
 
 from telewide.bokeh.render import render_bokeh
+from telewide.depth import edges
 from telewide.depth.edges import REACH_PX, ROUNDS, fill_unknown, follow_edges, nearest_known
 from telewide.errors import InputError
 from telewide.srgb import srgb_from_linear
@@ -95,6 +96,28 @@ def test_every_value_is_one_of_its_window(rng: np.random.Generator) -> None:
     for y, x in np.ndindex(disparity_px.shape):
         rows, columns = (slice(max(v - reach_px, 0), v + reach_px + 1) for v in (y, x))
         assert followed_px[y, x] in disparity_px[rows, columns]
+
+
+@pytest.mark.parametrize("damage", [dilated, quarter_nearest])
+def test_a_large_photo_is_followed_at_its_own_pixels(
+    damage: Callable[[np.ndarray], np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Followed at a half, the map still ends nearer to the truth than any map of half the size could lie."""
+    photo, truth_px = photo_and_truth(1)
+    monkeypatch.setattr(edges, "FULL_SCALE_WIDTH_PX", truth_px.shape[1] // 2)
+    damaged_px = damage(truth_px)
+    followed_px = followed(damaged_px, photo)
+    assert bad_share_at_edges(followed_px, truth_px) < 0.4 * bad_share_at_edges(damaged_px, truth_px)
+    assert set(np.unique(followed_px)) <= set(np.unique(damaged_px))
+
+
+def test_a_large_photo_keeps_its_own_values_apart_from_edges(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(edges, "FULL_SCALE_WIDTH_PX", 30)
+    slope_px = np.linspace(-4, 4, 91, dtype=np.float32)[None].repeat(61, axis=0)
+    photo = rng.uniform(0, 1, (61, 91, 3)).astype(np.float32)
+    np.testing.assert_array_equal(followed(slope_px, photo), slope_px)
 
 
 def test_two_surfaces_stay_two() -> None:
