@@ -14,10 +14,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from telewide.capture.images import resize_bicubic
 from telewide.errors import InputError, unknown_name
 from telewide.geometry.arrays import FloatImage
 from telewide.options import Options, parse_options
-from telewide.simulate.degrade import Degradation, degrade
+from telewide.simulate.degrade import Degradation, degrade_small
 from telewide.yaml_files import read_yaml
 
 DAMAGES_FILE = Path(__file__).with_name("damages.yaml")
@@ -104,7 +105,7 @@ def find_damage(name: str, damages: Damages) -> Damage:
 
 
 def damaged_view(view: FloatImage, damage: Damage, *, factor: float, scene: str, seed: int) -> FloatImage:
-    """Damage a view.
+    """Damage a view and enlarge it back to its own size.
 
     Args:
         view: (H, W, 3) RGB float32 in [0, 1].
@@ -116,8 +117,20 @@ def damaged_view(view: FloatImage, damage: Damage, *, factor: float, scene: str,
     Returns:
         (H, W, 3) RGB float32 in [0, 1].
     """
+    small = damaged_small_view(view, damage, factor=factor, scene=scene, seed=seed)
+    return resize_bicubic(small, wh=(view.shape[1], view.shape[0]))
+
+
+def damaged_small_view(view: FloatImage, damage: Damage, *, factor: float, scene: str, seed: int) -> FloatImage:
+    """Damage a view and leave it at the worse camera's own size.
+
+    Arguments as of :func:`damaged_view`.
+
+    Returns:
+        (round(H / factor), round(W / factor), 3) RGB float32 in [0, 1].
+    """
     rng = np.random.default_rng([seed, zlib.crc32(scene.encode())])
-    return degrade(view, drawn_degradation(damage, factor=factor, rng=rng), rng=rng)
+    return degrade_small(view, drawn_degradation(damage, factor=factor, rng=rng), rng=rng)
 
 
 def drawn_degradation(damage: Damage, *, factor: float, rng: np.random.Generator) -> Degradation:

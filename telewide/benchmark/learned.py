@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from telewide.errors import InputError
 from telewide.options import Options, parse_options
@@ -26,6 +28,14 @@ class LearnedSystem(Options):
     """Sharpens the second view before anything is trained or matched; None for enlarging it as it is."""
     settings: tuple[str, ...] = ()
     """Differences from the recipe, ``key=value``."""
+    method: Literal["network", "joint"] = "network"
+    """How its network answers: alone, or with semi-global matching."""
+    shows: Literal["disparity", "space"] = "disparity"
+    """What it is judged by: what its network answers, or its space of features."""
+    corrects: bool = False
+    """Whether rows and colours of every pair are corrected first, as `telewide depth` does."""
+    first_share: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    """Share of a budget that the first stage takes where others follow; they share the rest evenly."""
 
     def resolved(self, *, settings: tuple[str, ...] = (), seed: int | None = None) -> Recipe:
         """The recipe with everything that differs from it.

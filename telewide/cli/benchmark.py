@@ -14,7 +14,7 @@ from telewide.cli.arguments import DeviceOption, RigOption, refuse_filled
 from telewide.cli.console import console_observer, say
 from telewide.errors import UsageError
 from telewide.files import is_file, is_folder
-from telewide.ranges import MAX_SEED
+from telewide.ranges import MAX_SEED, MAX_STEPS
 
 if TYPE_CHECKING:
     from telewide.benchmark.report import BenchmarkReport
@@ -202,15 +202,26 @@ def paper(
         str | None, typer.Option(metavar="NAME,...", help="Of the second view. [default: those of the table]")
     ] = None,
     budget: Annotated[float, typer.Option(metavar="MIN", min=0.01, help="Minutes of each training.")] = 8.0,
+    steps: Annotated[
+        int | None, typer.Option(min=1, max=MAX_STEPS, help="Steps of each training instead, all its stages together.")
+    ] = None,
+    restorer_weights: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FILE", help="A restorer's own checkpoint, such as rcan=RCAN_BIX4.pt; may be repeated."
+        ),
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many; the mean is shown.")] = 1,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Keeps cells, and the table in three formats.")] = Path(
         "paper"
     ),
+    device: DeviceOption = "auto",
     list_tables: Annotated[bool, typer.Option("--list-tables", help="Print the tables and leave.")] = False,
     list_systems: Annotated[bool, typer.Option("--list-systems", help="Print the systems and leave.")] = False,
 ) -> None:
     """Reproduce a table of the publication on the data sets you have; kept cells are not computed again."""
     from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
+    from telewide.benchmark.paper.system import Budget
     from telewide.benchmark.paper.systems import SYSTEMS
     from telewide.benchmark.paper.tables import find_table, load_tables
 
@@ -221,7 +232,16 @@ def paper(
     if table is None or data is None:
         raise UsageError("--table and --data were expected", hint="--list-tables names the tables")
     wanted = find_table(table)
-    options = PaperOptions(data, out, systems=_names(systems), damages=_names(damages), budget_min=budget, seeds=seeds)
+    options = PaperOptions(
+        data,
+        out,
+        systems=_names(systems),
+        damages=_names(damages),
+        budget=Budget(budget, steps),
+        seeds=seeds,
+        device=device,
+        restorer_weights=_restorer_weights(restorer_weights or ()),
+    )
     report = benchmark_table(wanted, options, tell=_tell)
     say(paper_table(wanted, report), is_answer=True)
     for note in report.notes:
@@ -231,6 +251,21 @@ def paper(
 
 def _names(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def _restorer_weights(stated: Sequence[str]) -> dict[str, tuple[Path, ...]]:
+    from telewide.benchmark.learned import read_learned_systems
+
+    known = sorted({system.restorer for system in read_learned_systems().values() if system.restorer})
+    found: dict[str, tuple[Path, ...]] = {}
+    for text in stated:
+        name, _, file = text.partition("=")
+        if name not in known or not file:
+            raise UsageError(f"--restorer-weights {text}: {' or '.join(f'{each}=FILE' for each in known)} was expected")
+        if not Path(file).is_file():
+            raise UsageError(f"--restorer-weights {text}: {file} does not exist")
+        found[name] = (*found.get(name, ()), Path(file))
+    return found
 
 
 def _run_of(source: Path) -> Path:

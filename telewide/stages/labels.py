@@ -36,7 +36,7 @@ def write_labels(
         path = labels_path(item.capture.tele_path.parent, window_px=window)
         if item.capture.name in wanted and not _is_each_whole(path, of=item.capture.tele_path):
             pair = read_pair(item.capture)
-            write_pfm(path, _confident(pair, window))
+            write_pfm(path, confident_disparity(pair, window))
         if tick is not None:
             tick()
 
@@ -48,7 +48,16 @@ def _is_each_whole(labels: Path, *, of: Path) -> bool:
         return False
 
 
-def _confident(pair: RectifiedPair, window: Window) -> FloatMap:
+def confident_disparity(pair: RectifiedPair, window: Window) -> FloatMap:
+    """Match a pair semi-globally and keep what is confident.
+
+    Args:
+        pair: two comparable views.
+        window: disparities to search, px.
+
+    Returns:
+        (H, W) px, NaN where it is not.
+    """
     matched = match_semiglobal(pair.tele, pair.wide, window=window, valid=pair.valid)
     is_sure = matched.valid & (matched.confidence >= LABEL_CONFIDENCE)
     return np.where(is_sure, matched.disparity_px, np.nan).astype(np.float32)

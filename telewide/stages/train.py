@@ -56,7 +56,7 @@ from telewide.training.stages import Stage, plan_stages
 from telewide.training.world_samples import WorldBatches, WorldSource
 
 _OWN_FILES = re.compile(
-    r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|space|feature-\d+)\.(png|safetensors)"
+    r"state\.pt|training\.json|log\.jsonl|weights\.safetensors|(rehearsal|photometric|space|feature-\d+)(-best)?\.(png|safetensors)"
 )
 USUAL_ASYMMETRY = (1.0, 6.0)
 """Where neither the recipe nor the pairs say how much coarser wide is."""

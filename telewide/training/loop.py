@@ -5,6 +5,7 @@ Cut off anywhere, it continues from the last checkpoint with the losses it would
 
 from __future__ import annotations
 
+import copy
 import math
 import signal
 import time
@@ -112,7 +113,7 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
         while not state.is_finished:
             stage = plan[state.stage_index]
             if state.step == 0:
-                _begin_stage(state, stage, seed=training.seed)
+                begin_stage(state, stage, seed=training.seed)
             reporter.stage_started(stage, first_step=state.step)
             _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
             _end_stage(training=training, state=state, stage=stage, plan=plan, reporter=reporter)
@@ -132,8 +133,14 @@ def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
             )
 
 
-def _begin_stage(state: TrainingState, stage: Stage, *, seed: int) -> None:
-    """Start from the last result, with a fresh optimiser (paper, section 4.3)."""
+def begin_stage(state: TrainingState, stage: Stage, *, seed: int) -> None:
+    """Start from the last result, with a fresh optimiser (paper, section 4.3).
+
+    Args:
+        state: of a training at the first step of the stage; changed in place.
+        stage: that begins.
+        seed: of a feature space that it teaches.
+    """
     state.network.load_state_dict(state.average.state_dict())
     if stage.is_teaching_space:
         device = next(state.network.parameters()).device
@@ -282,6 +289,8 @@ def _is_converged(training: Training, state: TrainingState, stage: Stage, report
     _keep_best(state, stage)
     reporter.judged(stage, step=state.step, judgement=judgement)
     patience = training.options.patience
+    if training.options.keeps == "last":
+        return False
     if state.step < stage.options.counts_from or len(state.judgements) <= patience:
         return False
     before, recent = (_least_px(some) for some in (state.judgements[:-patience], state.judgements[-patience:]))
@@ -320,18 +329,14 @@ def _ask(training: Training, state: TrainingState) -> dict[str, float]:
 def _end_stage(
     training: Training, state: TrainingState, stage: Stage, plan: tuple[Stage, ...], reporter: Reporter
 ) -> None:
-    """Keep the stage's best weights; go on, or stop boosting when it no longer helps."""
-    result = math.nan
-    if state.best is not None:
-        result = state.best.judgement
-        state.average.load_state_dict(state.best.weights)
-        if state.best.step < state.step:
-            reporter.said(f"{stage.name}: the weights of step {state.best.step} are kept, which were judged best")
-    card = _card(training, stage, step=state.best.step if state.best else state.step, judgements=[result])
+    """Keep the stage's result; go on, or stop boosting when it no longer helps."""
+    result, step = _take_result(training, state, stage, reporter)
+    card = _card(training, stage, step=step, judgements=[result])
     if training.processes.is_writer and not stage.is_teaching_space:
         save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
     reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
-    is_worse = bool(state.stage_judgements) and _is_no_better(result, than=state.stage_judgements[state.best_stage])
+    may_be_worse = training.options.keeps == "best" and bool(state.stage_judgements)
+    is_worse = may_be_worse and _is_no_better(result, than=state.stage_judgements[state.best_stage])
     state.stage_judgements.append(result)
     if not is_worse:
         state.best_stage = stage.index
@@ -341,8 +346,43 @@ def _end_stage(
         if is_worse:
             card = _return_to_best(training, state, plan, reporter, worse=stage)
     else:
-        state.stage_index, state.step, state.best = stage.index + 1, 0, None
+        go_on(state)
     _save(training, state, card)
+
+
+def go_on(state: TrainingState) -> None:
+    """Turn to the stage after one that is done."""
+    state.is_finished, state.stage_index, state.step, state.best = False, state.stage_index + 1, 0, None
+
+
+def _take_result(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> tuple[float, int]:
+    """Make the average the stage's result; the figure it is judged by, and the step it is of."""
+    best = state.best
+    if training.options.keeps == "last":
+        if best is not None:
+            _save_best_beside(training, state, stage, best)
+        return (state.judgements[-1] if state.judgements else math.nan), state.step
+    if best is None:
+        return math.nan, state.step
+    state.average.load_state_dict(best.weights)
+    if best.step < state.step:
+        reporter.said(f"{stage.name}: the weights of step {best.step} are kept, which were judged best")
+    return best.judgement, best.step
+
+
+def _save_best_beside(training: Training, state: TrainingState, stage: Stage, best: BestWeights) -> None:
+    """Write the weights that were judged best to a file of their own."""
+    if not training.processes.is_writer:
+        return
+    network = copy.deepcopy(state.average)
+    network.load_state_dict(best.weights)
+    card = _card(training, stage, step=best.step, judgements=[best.judgement])
+    save_weights(network, training.folder / best_name(stage), card=card)
+
+
+def best_name(stage: Stage) -> str:
+    """Name of the file with the weights of a stage that were judged best, where the last ones are its result."""
+    return f"{stage.name}-best.safetensors"
 
 
 def _return_to_best(

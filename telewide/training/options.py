@@ -20,6 +20,7 @@ WEIGHTS_NAME = "weights.safetensors"
 
 CapturedLoss = Literal["photometric", "feature", "labels", "supervised"]
 SpaceName = Literal["own", "contrastive", "auto-encoder"]
+Keeps = Literal["best", "last"]
 
 
 class StageOptions(Options):
@@ -93,6 +94,9 @@ class TrainOptions(Options):
     """Decay of the running average of the weights that is kept as the result; 0 keeps the last weights."""
     judge_every_steps: Annotated[int, Field(ge=1)] = 250
     """How often the held-out matches are asked."""
+    keeps: Keeps = "best"
+    """Result of a stage, from which the next one goes on: the weights judged best, or the last ones whatever the judge
+    says. Then no plateau ends a stage and no stage ends the boosting, and those judged best lie beside the last."""
     patience: Annotated[int, Field(ge=1)] = 3
     """A stage has converged when so many judgements in a row brought nothing better."""
     worlds: bool = False

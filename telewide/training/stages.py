@@ -49,6 +49,24 @@ class Stage:
         return self.options.symmetric_input or self.options.symmetric_loss
 
 
+def ending_with(options: TrainOptions, stage: Stage) -> TrainOptions:
+    """Options whose plan is the same up to a stage, and ends with it.
+
+    Args:
+        options: of a training.
+        stage: of its plan.
+    """
+    section, _, number = stage.name.partition("-")
+    if section == "feature":
+        return options.model_copy(update={"stages": int(number)})
+    changes: dict[str, object] = {"stages": 0}
+    if not stage.is_teaching_space:
+        changes |= {"feature_space": "own", "space": options.space.model_copy(update={"steps": 0})}
+    if section == "rehearsal":
+        changes["photometric"] = options.photometric.model_copy(update={"steps": 0})
+    return options.model_copy(update=changes)
+
+
 def plan_stages(options: TrainOptions) -> tuple[Stage, ...]:
     """List the stages in order; those without steps are left out."""
     named = [("rehearsal", options.rehearsal), ("photometric", options.photometric), (SPACE_STAGE, options.space)]

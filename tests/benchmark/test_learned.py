@@ -36,6 +36,11 @@ EXPECTED = {
     "basenet-iresnet": ("iresnet-s", None, 1, "photometric", (False, False), "own"),
     "method-iresnet": ("iresnet-s", None, 4, "photometric", (False, False), "own"),
     "psmnet": ("psmnet", None, 1, "photometric", (False, False), "own"),
+    "iresnet": ("iresnet", None, 1, "photometric", (False, False), "own"),
+    "ours-trained": ("guided", None, 2, "labels", (False, False), "own"),
+    "s1-space": ("psmnet-s", None, 1, "photometric", (False, False), "own"),
+    "cl-space": ("psmnet-s", None, 3, "photometric", (False, False), "contrastive"),
+    "ae-space": ("psmnet-s", None, 3, "photometric", (False, False), "auto-encoder"),
 }
 
 

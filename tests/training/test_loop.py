@@ -26,12 +26,20 @@ from telewide.training.checkpoint import (
     save_state,
 )
 from telewide.training.data import StepBatches, _interrupts_held
-from telewide.training.loop import COOL_DOWN_SHARE, LAST_LEARNING_RATE, WARM_UP_STEPS, learning_rate, take_step, train
+from telewide.training.loop import (
+    COOL_DOWN_SHARE,
+    LAST_LEARNING_RATE,
+    WARM_UP_STEPS,
+    go_on,
+    learning_rate,
+    take_step,
+    train,
+)
 from telewide.training.objective import Batch
 from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import SampleSource
-from telewide.training.stages import Stage, plan_stages
+from telewide.training.stages import Stage, ending_with, plan_stages
 
 
 def fresh() -> TrainingState:
@@ -310,6 +318,48 @@ def test_boosting_goes_on_while_the_judge_falls(tmp_path: Path, source: SampleSo
     assert state.best_stage == 3
     assert state.is_finished
     assert heard.messages == []
+
+
+def test_last_weights_are_kept_whatever_the_judge_says_and_the_best_beside(
+    tmp_path: Path, source: SampleSource
+) -> None:
+    options = short(
+        photometric={**PHOTOMETRIC, "steps": 2}, feature={**FEATURE, "steps": 2}, keeps="last", stages=1, patience=1
+    )
+    answers = (0.1, 0.5, 0.9, 0.7)
+    training = training_in(tmp_path, source, options=options, judge=ScriptedJudge(answers))
+    state = train(training, fresh(), reporter=Heard())
+    assert plan_stages(options)[state.best_stage].name == "feature-1"
+    assert state.stage_judgements == [0.5, 0.7]
+    steps = {}
+    for name in ("photometric", "photometric-best", "feature-1", "feature-1-best", "weights"):
+        _, card = load_weights(tmp_path / f"{name}.safetensors", device=CPU)
+        steps[name] = card.training["step"], card.training["clipped_px"]
+    assert steps == {
+        "photometric": (2, [0.5]),
+        "photometric-best": (1, [0.1]),
+        "feature-1": (2, [0.7]),
+        "feature-1-best": (2, [0.7]),
+        "weights": (2, [0.7]),
+    }
+    result, _ = load_weights(tmp_path / WEIGHTS_NAME, device=CPU)
+    assert is_same(result, state.average)
+
+
+def test_a_finished_training_goes_on_where_its_plan_is_longer(tmp_path: Path, source: SampleSource) -> None:
+    whole = short(photometric=PHOTOMETRIC, feature=FEATURE, keeps="last", stages=2)
+    training = training_in(tmp_path / "whole", source, options=whole)
+    at_once = train(training, fresh(), reporter=Heard())
+    folder, state = tmp_path / "piecewise", fresh()
+    for stage in plan_stages(whole):
+        options = ending_with(whole, stage)
+        if stage.index:
+            before = ending_with(whole, plan_stages(whole)[stage.index - 1])
+            state = load_state(folder / STATE_NAME, network_name="lite", device=CPU, plan=plan_stages(before))
+            go_on(state)
+        state = train(training_in(folder, source, options=options), state, reporter=Heard())
+    assert is_same(state.average, at_once.average)
+    assert state.stage_judgements == at_once.stage_judgements
 
 
 def test_a_finished_training_takes_no_step(tmp_path: Path, source: SampleSource) -> None:

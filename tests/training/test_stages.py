@@ -8,7 +8,7 @@ import pytest
 
 from telewide.recipe import load_recipe
 from telewide.training.options import StageOptions, TrainOptions
-from telewide.training.stages import Stage, plan_stages
+from telewide.training.stages import Stage, ending_with, plan_stages
 
 # stage: steps, learning rate, rehearsed and real crops, loss of the real ones and its weight, alpha, lambda, masks,
 # exchange, weight of labels beside
@@ -114,6 +114,21 @@ def test_stages_without_steps_are_left_out_and_the_others_counted_on() -> None:
     plan = plan_stages(TrainOptions.model_validate({"stages": 2, "photometric": stage, "feature": stage}))
     assert [(stage.name, stage.index) for stage in plan] == [("photometric", 0), ("feature-1", 1), ("feature-2", 2)]
     assert plan_stages(TrainOptions.model_validate({"stages": 0, "feature": stage})) == ()
+
+
+@pytest.mark.parametrize("space", ["own", "auto-encoder"])
+def test_a_plan_ends_with_any_of_its_stages(space: str) -> None:
+    stage, taught = {"steps": 5, "rehearsed": 1}, {"steps": 5, "captured": 1}
+    own = {} if space == "own" else {"space": taught, "feature_space": space}
+    sections = {"rehearsal": stage, "photometric": taught, "feature": {**taught, "captured_loss": "feature"}, **own}
+    options = TrainOptions.model_validate({"stages": 2, **sections})
+    plan = plan_stages(options)
+    assert len(plan) == (4 if space == "own" else 5)
+    for stage_ in plan:
+        shorter = ending_with(options, stage_)
+        names = [(each.name, each.index, each.options) for each in plan_stages(shorter)]
+        assert names == [(each.name, each.index, each.options) for each in plan[: stage_.index + 1]]
+        TrainOptions.model_validate(shorter.model_dump())
 
 
 @pytest.mark.parametrize(

@@ -22,20 +22,32 @@ from telewide.benchmark.boundaries import boundary_errors, boundary_f1
 from telewide.benchmark.damages import Damages, find_damage
 from telewide.benchmark.datasets.protocols import Scene, find_protocol, search_window, select_scenes
 from telewide.benchmark.datasets.truth import StereoTruth
-from telewide.benchmark.paper.systems import System, Task, Tell, source_fingerprint
+from telewide.benchmark.paper.system import (
+    Budget,
+    Place,
+    System,
+    Task,
+    Tell,
+    content_fingerprint,
+    source_fingerprint,
+    weights_fingerprints,
+)
 from telewide.benchmark.paper.tables import Column
 from telewide.benchmark.report import library_versions
 from telewide.benchmark.scores import score_regions
 from telewide.benchmark.spaces import space_psnr_db
+from telewide.cores import Device
 from telewide.errors import TelewideError
 from telewide.files import fingerprint
 from telewide.folders import alone_in
 from telewide.geometry.arrays import FloatMap
+from telewide.matching.window import Window, joined_window
 from telewide.records import Record, as_read, checked, read_record, write_record
 
 FORMAT = 1
 CELL_FILE = "cell.json"
 _TEST, _TRAINING, _VALIDATION = "test", "training", "validation"
+_EVERY = 8
 _MEASURING = (
     *("benchmark.scores", "benchmark.boundaries", "benchmark.bokeh_quality", "benchmark.paper.cells", "metrics"),
     *("benchmark.damages", "simulate.degrade", "bokeh.render", "bokeh.lens"),
@@ -112,9 +124,10 @@ class Cells:
             "system": plan.system.name,
             "sources": source_fingerprint([*plan.system.sources, *_MEASURING]),
             "files": [fingerprint(path) for path in plan.system.files],
+            "facts": dict(plan.system.facts),
             "versions": library_versions(),
             "scenes": [self._fingerprint(scene) for scene in plan.scenes],
-            "window": list(plan.task.window) if plan.scenes[0].protocol.window_px else None,
+            "window": list(plan.scenes[0].protocol.window_px or ()),
             "damage": plan.task.damage.model_dump(mode="json", exclude={"description"}),
             "factor": plan.column.factor,
             "seed": plan.task.seed,
@@ -123,7 +136,10 @@ class Cells:
             key |= {
                 "training": [self._fingerprint(scene) for scene in plan.task.training],
                 "validation": [self._fingerprint(scene) for scene in plan.task.validation],
-                "budget_min": plan.task.budget_min,
+                "training_window": list(plan.task.window),
+                "budget": plan.task.budget.as_data(),
+                "restorer": weights_fingerprints(plan.system, plan.task),
+                "device": _device_type(plan.task.device),
             }
         return key
 
@@ -149,27 +165,29 @@ class Cells:
 
     def _computed(self, plan: CellPlan) -> list[Row]:
         self.tell(f"{plan.system.title}: {plan.column.heading}")
-        own_folder = self.out / "systems" / plan.system.name
-        matchers = plan.system.prepare(plan.task, own_folder, self.tell)
-        encoder = plan.system.encoder and plan.system.encoder(plan.task, own_folder, self.tell)
+        prepared = plan.system.prepare(plan.task, Place(self.out, self.tell))
         rows: list[Row] = []
         for scene in plan.scenes:
             sharp = scene.read()
-            truth = plan.task.asymmetric(scene.name, sharp)
-            psnr_db = space_psnr_db(encoder(sharp.right), encoder(truth.right)) if encoder else math.nan
+            truth = prepared.seen_pair(plan.task, scene.name, sharp)
             if not np.isfinite(truth.disparity_px).any():
                 self.tell(f"{scene.name}: no disparity is known, left out")
                 continue
-            window = search_window(scene.protocol, truth)
-            for weights, match in matchers.items():
+            encoder, window = prepared.encoder, search_window(scene.protocol, truth)
+            of_scene = {
+                "scene": scene.name,
+                "space_psnr_db": space_psnr_db(encoder(sharp.right), encoder(truth.right)) if encoder else math.nan,
+                "training_steps": prepared.steps,
+            }
+            for weights, match in prepared.matchers.items():
                 judged = _judged(match(truth.left, truth.right, window), truth)
-                rows += [{"scene": scene.name, "weights": weights, **row, "space_psnr_db": psnr_db} for row in judged]
+                rows += [{**of_scene, "weights": weights, **row} for row in judged]
         return rows
 
     def _fingerprint(self, scene: Scene) -> str:
         place = (str(scene.root), scene.name, scene.protocol.model_dump_json())
         if place not in self._fingerprints:
-            self._fingerprints[place] = f"{scene.data_set.name}/{scene.name} {_content_fingerprint(scene.read())}"
+            self._fingerprints[place] = f"{scene.data_set.name}/{scene.name} {content_fingerprint(scene.read())}"
         return self._fingerprints[place]
 
 
@@ -181,13 +199,17 @@ class Wanted:
         data_root: holds the data sets.
         damages: those there are.
         seed: of everything drawn.
-        budget_min: minutes of each training.
+        budget: of each training.
+        device: to compute on: auto, cpu or cuda.
+        restorer_weights: files to take by the name of a restorer, instead of training it.
     """
 
     data_root: Path
     damages: Damages
     seed: int
-    budget_min: float
+    budget: Budget
+    device: Device = "auto"
+    restorer_weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
 
 def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tuple[list[CellPlan], list[str]]:
@@ -209,22 +231,46 @@ def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tu
         return [], notes
     if name != column.test[0]:
         notes = [f"{column.data_set}: {name} stands in for {column.test[0]}, so published values are of other scenes"]
-    _, training, _ = _first_there(column.training, wanted.data_root, _TRAINING)
-    _, validation, _ = _first_there(column.training, wanted.data_root, _VALIDATION)
-    unseen = {(scene.root, scene.name) for scene in scenes}
-    training, validation = (
-        tuple(scene for scene in known if (scene.root, scene.name) not in unseen) for known in (training, validation)
-    )
+    training, validation = _learned_from(column, wanted.data_root, tested=scenes)
     task = Task(
         training=training,
         validation=validation,
-        window=scenes[0].protocol.window_px or search_window(scenes[0].protocol, scenes[0].read()),
+        window=_joined_window(training or scenes),
         damage=find_damage(column.damage, wanted.damages),
         factor=column.factor,
         seed=wanted.seed,
-        budget_min=wanted.budget_min,
+        budget=wanted.budget,
+        device=wanted.device,
+        restorer_weights=wanted.restorer_weights,
     )
     return [CellPlan(system, column, task, scenes) for system in systems], notes
+
+
+def _learned_from(
+    column: Column, data_root: Path, *, tested: Sequence[Scene]
+) -> tuple[tuple[Scene, ...], tuple[Scene, ...]]:
+    """Scenes to learn from and to choose weights by, of the first protocol that has any which are not tested.
+
+    Where the protocol has none to choose by, every eighth of those to learn from is one.
+    """
+    unseen = {(scene.root, scene.name) for scene in tested}
+
+    def fresh(protocol: str, split: str) -> tuple[Scene, ...]:
+        _, found, _ = _first_there([protocol], data_root, split)
+        return tuple(scene for scene in found if (scene.root, scene.name) not in unseen)
+
+    for name in column.training:
+        training, validation = fresh(name, _TRAINING), fresh(name, _VALIDATION)
+        if training and not validation:
+            validation = training[_EVERY - 1 :: _EVERY]
+            training = tuple(scene for scene in training if scene not in validation)
+        if training:
+            return training, validation
+    return (), ()
+
+
+def _joined_window(scenes: Sequence[Scene]) -> Window:
+    return joined_window(scene.protocol.window_px or search_window(scene.protocol, scene.read()) for scene in scenes)
 
 
 def _judged(estimate_px: FloatMap, truth: StereoTruth) -> list[Row]:
@@ -257,6 +303,12 @@ def _first_there(names: Sequence[str], data_root: Path, split: str) -> tuple[str
     return None, (), notes
 
 
+def _device_type(device: Device) -> str:
+    from telewide.matching.inference import choose_device
+
+    return choose_device(device).type
+
+
 def _kept(path: Path, key: Mapping[str, object]) -> list[Row] | None:
     try:
         record = read_record(path, CellRecord)
@@ -267,10 +319,3 @@ def _kept(path: Path, key: Mapping[str, object]) -> list[Row] | None:
 
 def _give_way(_message: str) -> NoReturn:
     raise _TakenError
-
-
-def _content_fingerprint(truth: StereoTruth) -> str:
-    digest = hashlib.sha256()
-    for array in (truth.left, truth.right, truth.disparity_px, truth.occluded):
-        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:24]

@@ -6,16 +6,18 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from telewide.benchmark.damages import load_damages
 from telewide.benchmark.paper.cells import Cells, Row, Wanted, plan_column
-from telewide.benchmark.paper.systems import SYSTEMS, System, Tell, find_systems
-from telewide.benchmark.paper.tables import Published, Table
+from telewide.benchmark.paper.system import BEST, Budget, System, Tell
+from telewide.benchmark.paper.systems import SYSTEMS, find_systems
+from telewide.benchmark.paper.tables import Column, Published, Table
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number, write_report_json
+from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.files import write_text
 
@@ -31,16 +33,23 @@ class PaperOptions:
         out: folder of the cells and tables.
         systems: names of rows; empty for those of the table that telewide has.
         damages: names of damages; empty for those of the table.
-        budget_min: minutes of each training.
+        budget: of each training.
         seeds: 0 to one less than this are used, and the mean is shown.
+        device: to compute on: auto, cpu or cuda.
+        restorer_weights: files to take by the name of a restorer, instead of training it.
     """
 
     data_root: Path
     out: Path
     systems: tuple[str, ...] = ()
     damages: tuple[str, ...] = ()
-    budget_min: float = DEFAULT_BUDGET_MIN
+    budget: Budget = field(default_factory=lambda: Budget(DEFAULT_BUDGET_MIN))
     seeds: int = 1
+    device: Device = "auto"
+    restorer_weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+
+
+_Means = tuple[float, float, float]
 
 
 def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> BenchmarkReport:
@@ -66,7 +75,14 @@ def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> Bench
     plans = []
     for seed in range(options.seeds):
         for column in columns:
-            wanted = Wanted(options.data_root, known, seed, options.budget_min)
+            wanted = Wanted(
+                options.data_root,
+                known,
+                seed,
+                budget=options.budget,
+                device=options.device,
+                restorer_weights=options.restorer_weights,
+            )
             of_column, said = plan_column(column, systems, wanted)
             plans += of_column
             notes += [note for note in said if note not in notes]
@@ -80,21 +96,50 @@ def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> Bench
     if not rows:
         raise InputError(f"no cell of the table {table.name} could be computed", hint="; ".join(cells.problems))
     notes += cells.problems
-    facts = {"table": table.name, "budget_min": options.budget_min, "seeds": options.seeds}
+    facts = {"table": table.name, "budget": str(options.budget), "seeds": options.seeds, "device": options.device}
     return BenchmarkReport(f"paper {table.name}", facts, tuple(rows), tuple(notes))
 
 
 def paper_table(table: Table, report: BenchmarkReport) -> str:
-    """Set a report in Markdown: 3PE in per cent / EPE in px, means over scenes and seeds; published in brackets."""
+    """Set a report in Markdown, data set by data set: 3PE in per cent / EPE in px, means over scenes and seeds.
+
+    Where a system has them, the last weights and those best on validation are two columns; the published value stands
+    in brackets beside the first.
+    """
     cells = _means(report.rows)
-    columns = [column for column in table.columns if any(column.heading == key[2] for key in cells)]
+    data_sets = dict.fromkeys(column.data_set for column in table.columns)
+    blocks = [_block(table, cells, data_set) for data_set in data_sets]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _block(table: Table, cells: Mapping[tuple[str, str, str], _Means], data_set: str) -> str:
+    """The part of a table that is of one data set; nothing where it has no cell."""
+    columns = [
+        (index, column, weights)
+        for index, column in enumerate(table.columns)
+        for weights in ("", BEST)
+        if column.data_set == data_set and any(_is_of(key, column, weights) for key in cells)
+    ]
+    if not columns:
+        return ""
     lines = []
-    for system, weights in dict.fromkeys((key[0], key[1]) for key in cells):
-        title = SYSTEMS[system].title + (f", {weights} weights" if weights else "")
-        published = dict(zip((c.heading for c in table.columns), table.rows.get(system, ()), strict=False))
-        line = [_cell(cells.get((system, weights, c.heading)), published.get(c.heading)) for c in columns]
-        lines.append([title, *line])
-    return markdown_table(["3PE % / EPE px", *(column.heading for column in columns)], lines)
+    for system in dict.fromkeys(key[0] for key in cells):
+        published = table.rows.get(system) or (None,) * len(table.columns)
+        line = [
+            _cell(
+                next((cells[key] for key in cells if key[0] == system and _is_of(key, column, weights)), None),
+                None if weights else published[index],
+            )
+            for index, column, weights in columns
+        ]
+        lines.append([SYSTEMS[system].title, *line])
+    names = [f"{column.damage} x{column.factor:g}{', best' if weights else ''}" for _, column, weights in columns]
+    return f"**{data_set}**\n\n{markdown_table(['3PE % / EPE px', *names], lines)}"
+
+
+def _is_of(key: tuple[str, str, str], column: Column, weights: str) -> bool:
+    """Whether a mean belongs to a column of the best weights, or to one of all others."""
+    return key[2] == column.heading and (key[1] == BEST) == (weights == BEST)
 
 
 def write_table(table: Table, report: BenchmarkReport, out: Path) -> tuple[Path, ...]:
@@ -110,7 +155,7 @@ def write_table(table: Table, report: BenchmarkReport, out: Path) -> tuple[Path,
     """
     paths = tuple(out / f"{table.name}.{suffix}" for suffix in ("md", "csv", "json"))
     notes = "".join(f"\n- {note}" for note in report.notes)
-    budget = f"Budget of each training: {report.options['budget_min']} min; seeds: {report.options['seeds']}."
+    budget = f"Budget of each training: {report.options['budget']}; seeds: {report.options['seeds']}."
     write_text(paths[0], f"# {table.title}\n\n{paper_table(table, report)}\n\n{budget}\n{notes}\n")
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(report.rows[0]) if report.rows else [], lineterminator="\n")
@@ -129,7 +174,7 @@ def _systems(table: Table, names: Sequence[str]) -> tuple[list[System], list[str
     return [SYSTEMS[name] for name in table.rows if name in SYSTEMS], notes
 
 
-def _means(rows: Sequence[Row]) -> dict[tuple[str, str, str], tuple[float, float, float]]:
+def _means(rows: Sequence[Row]) -> dict[tuple[str, str, str], _Means]:
     """3PE in per cent, EPE in px and PSNR of the features in dB by system, weights and column."""
     values: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
@@ -146,7 +191,7 @@ def _mean(rows: Sequence[Mapping[str, object]], key: str) -> float:
     return float(np.mean([value if isinstance(value, int | float) else math.nan for value in values]))
 
 
-def _cell(ours: tuple[float, float, float] | None, published: Published | None) -> str:
+def _cell(ours: _Means | None, published: Published | None) -> str:
     shown = "-" if ours is None else f"{number(ours[0], '.2f')} / {number(ours[1], '.2f')}"
     if ours is not None and math.isfinite(ours[2]):
         shown += f" / {ours[2]:.2f} dB"

@@ -6,7 +6,6 @@ import csv
 import json
 import multiprocessing
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,8 @@ from typer.testing import CliRunner
 from telewide.benchmark.datasets.catalogue import DATA_SETS
 from telewide.benchmark.paper import systems as systems_module
 from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
-from telewide.benchmark.paper.systems import SYSTEMS, Matcher, System, Task, Tell, match_like_opencv
+from telewide.benchmark.paper.system import Budget, Place, Prepared, System, Task
+from telewide.benchmark.paper.systems import SYSTEMS, match_like_opencv
 from telewide.benchmark.paper.tables import Column, Published, Table
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pfm import write_pfm
@@ -49,10 +49,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Task]:
     """The tasks that a system which is off by 4 px is given."""
     tasks: list[Task] = []
 
-    def prepare(task: Task, folder: Path, tell: Tell) -> Mapping[str, Matcher]:
+    def prepare(task: Task, place: Place) -> Prepared:
         tasks.append(task)
         wrong = np.full(HW, DISPARITY_PX + 4, np.float32)
-        return {"last": lambda ref, src, window: wrong, "best": lambda ref, src, window: wrong - 4}
+        return Prepared({"last": lambda ref, src, window: wrong, "best": lambda ref, src, window: wrong - 4})
 
     monkeypatch.setitem(SYSTEMS, "known", System("known", "Known", prepare, ("metrics",)))
     return tasks
@@ -69,7 +69,7 @@ def test_cells_are_kept(data: Path, asked: list[Task]) -> None:
     assert len(asked) == 2
     benchmark_table(TABLE, options(data, seeds=2), tell=lambda _: None)
     assert len(asked) == 4
-    benchmark_table(TABLE, options(data, budget_min=1.0), tell=lambda _: None)
+    benchmark_table(TABLE, options(data, budget=Budget(1.0)), tell=lambda _: None)
     assert len(asked) == 6
 
 
@@ -103,11 +103,11 @@ def test_cut_off_cells_are_made_again(data: Path, asked: list[Task]) -> None:
 
 def test_the_table_shows_both_weights_and_what_is_published(data: Path, asked: list[Task]) -> None:
     report = benchmark_table(TABLE, options(data), tell=lambda _: None)
-    lines = paper_table(TABLE, report).splitlines()
-    last = [cell.strip() for cell in lines[2].split("|")[1:-1]]
-    best = [cell.strip() for cell in lines[3].split("|")[1:-1]]
-    assert last == ["Known, last weights", "100.00 / 4.00 (12.34 / 1.50)", "100.00 / 4.00"]
-    assert best == ["Known, best weights", "0.00 / 0.00 (12.34 / 1.50)", "0.00 / 0.00"]
+    head, _, known = (
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in paper_table(TABLE, report).splitlines()[2:]
+    )
+    assert head[1:] == ["BIC x2", "BIC x2, best", "IG x2", "IG x2, best"]
+    assert known == ["Known", "100.00 / 4.00 (12.34 / 1.50)", "0.00 / 0.00", "100.00 / 4.00", "0.00 / 0.00"]
     assert any("not-built" in note for note in report.notes)
     paths = write_table(TABLE, report, data.parent / "out")
     assert "budget" in paths[0].read_text().lower()
@@ -119,7 +119,7 @@ def test_the_table_shows_both_weights_and_what_is_published(data: Path, asked: l
 
 
 def test_what_fails_leaves_the_other_cells(data: Path, asked: list[Task], monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(task: Task, folder: Path, tell: Tell) -> Mapping[str, Matcher]:
+    def refuse(task: Task, place: Place) -> Prepared:
         raise InputError("no weights")
 
     monkeypatch.setitem(SYSTEMS, "broken", replace(SYSTEMS["known"], name="broken", title="Broken", prepare=refuse))
@@ -155,11 +155,11 @@ def test_missing_data_and_slips(data: Path, asked: list[Task]) -> None:
 
 
 def _one_process(data: Path, log: Path) -> None:
-    def slow(task: Task, folder: Path, tell: Tell) -> Mapping[str, Matcher]:
+    def slow(task: Task, place: Place) -> Prepared:
         with log.open("a") as stream:
             stream.write("computed\n")
         time.sleep(0.5)
-        return {"": lambda ref, src, window: np.zeros(HW, np.float32)}
+        return Prepared({"": lambda ref, src, window: np.zeros(HW, np.float32)})
 
     systems_module.SYSTEMS["slow"] = System("slow", "Slow", slow, ("metrics",))
     benchmark_table(TABLE, options(data, systems=("slow",)), tell=lambda _: None)
@@ -201,5 +201,6 @@ def test_lists_and_a_table_by_the_command(data: Path) -> None:
     words = ["--table", "open", "--data", str(data), "--damages", "GAIN", "--out", str(data.parent / "out")]
     result = run.invoke(app, ["benchmark", "paper", *words, "--systems", "sgm-opencv"])
     assert result.exit_code == 0, result.output
-    assert "Middlebury 2014 GAIN x4" in result.stdout
+    assert "**Middlebury 2014**" in result.stdout
+    assert "GAIN x4" in result.stdout
     assert (data.parent / "out" / "open.md").is_file()
