@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,6 +17,8 @@ from telewide.files import is_file, is_folder
 from telewide.ranges import MAX_SEED, MAX_STEPS
 
 if TYPE_CHECKING:
+    from telewide.benchmark.paper.system import System
+    from telewide.benchmark.paper.tables import Table
     from telewide.benchmark.report import BenchmarkReport
 
 benchmark_app = typer.Typer(
@@ -31,6 +33,13 @@ JsonFileOption = Annotated[
 RunOption = Annotated[
     list[Path] | None,
     typer.Option("--run", metavar="RUN|FILE", help="Run folder (all its stages) or weights file; may be repeated."),
+]
+StepsOption = Annotated[
+    int | None, typer.Option(min=1, max=MAX_STEPS, help="Steps of each training instead, all its stages together.")
+]
+RestorerOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=FILE", help="A restorer's own checkpoint, such as rcan=RCAN_BIX4.pt; may be repeated."),
 ]
 
 
@@ -202,15 +211,8 @@ def paper(
         str | None, typer.Option(metavar="NAME,...", help="Of the second view. [default: those of the table]")
     ] = None,
     budget: Annotated[float, typer.Option(metavar="MIN", min=0.01, help="Minutes of each training.")] = 8.0,
-    steps: Annotated[
-        int | None, typer.Option(min=1, max=MAX_STEPS, help="Steps of each training instead, all its stages together.")
-    ] = None,
-    restorer_weights: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=FILE", help="A restorer's own checkpoint, such as rcan=RCAN_BIX4.pt; may be repeated."
-        ),
-    ] = None,
+    steps: StepsOption = None,
+    restorer_weights: RestorerOption = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many; the mean is shown.")] = 1,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Keeps cells, and the table in three formats.")] = Path(
         "paper"
@@ -226,8 +228,7 @@ def paper(
     from telewide.benchmark.paper.tables import find_table, load_tables
 
     if list_tables or list_systems:
-        known = load_tables() if list_tables else SYSTEMS
-        say("\n".join(f"{name}: {entry.title}" for name, entry in known.items()), is_answer=True)
+        _list(load_tables() if list_tables else SYSTEMS)
         return
     if table is None or data is None:
         raise UsageError("--table and --data were expected", hint="--list-tables names the tables")
@@ -247,6 +248,10 @@ def paper(
     for note in report.notes:
         _tell(f"note: {note}")
     _tell("wrote " + ", ".join(str(path) for path in write_table(wanted, report, out)))
+
+
+def _list(known: Mapping[str, Table] | Mapping[str, System]) -> None:
+    say("\n".join(f"{name}: {entry.title}" for name, entry in known.items()), is_answer=True)
 
 
 def _names(text: str | None) -> tuple[str, ...]:

@@ -5,17 +5,10 @@ from __future__ import annotations
 from pydantic import JsonValue
 
 from telewide.assets import BOX_WEIGHTS
-from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.learned import LearnedSystem
-from telewide.benchmark.paper.system import Place, Prepared, SecondView, System, Task, enlarged_view
-from telewide.capture.pair import RectifiedPair
-from telewide.correction.verdict import correct_pair
-from telewide.geometry.arrays import FloatImage
+from telewide.benchmark.paper.corrected import CORRECTION_SOURCES
+from telewide.benchmark.paper.system import Place, Prepared, System, Task
 
-CORRECTION_SOURCES = (
-    *("correction.colour", "correction.colour_model", "correction.rows", "correction.verdict"),
-    *("points.features", "points.matches", "points.robust"),
-)
 NETWORK_SOURCES = {
     "guided": ("matching.guided",),
     "iresnet": ("matching.iresnet",),
@@ -83,14 +76,3 @@ def learned_row(name: str, system: LearnedSystem) -> System:
         facts=facts,
         restorer=system.restorer,
     )
-
-
-def corrected_view(task: Task) -> SecondView:
-    """Second views of a task with rows and colours brought to the first view's, as far as matches allow."""
-    enlarged = enlarged_view(task)
-
-    def corrected(scene: str, truth: StereoTruth) -> FloatImage:
-        pair = RectifiedPair(scene, truth.left, enlarged(scene, truth))
-        return correct_pair(pair, seed=task.seed).pair.wide
-
-    return corrected

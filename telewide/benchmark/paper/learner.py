@@ -17,7 +17,7 @@ from torch.nn import functional
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.learned import LearnedSystem
 from telewide.benchmark.paper.chain import Chain, Link, train_chain
-from telewide.benchmark.paper.learned_rows import CORRECTION_SOURCES, corrected_view
+from telewide.benchmark.paper.corrected import CORRECTION_SOURCES, corrected_view
 from telewide.benchmark.paper.pairs import TrainingPairs, write_pairs
 from telewide.benchmark.paper.restored import restored_view
 from telewide.benchmark.paper.system import (
@@ -95,7 +95,7 @@ def prepare_learned(system: LearnedSystem, task: Task, place: Place, *, sources:
 def _second_view(
     system: LearnedSystem, plan: tuple[Stage, ...], task: Task, place: Place
 ) -> tuple[SecondView, dict[str, JsonValue]]:
-    """What a system sees as the second view of the pairs it learns from, and all that it depends on."""
+    """Second view of the pairs that a system learns from, and all that it depends on."""
     if all(stage.options.symmetric_input and stage.options.symmetric_loss for stage in plan):
         return undamaged_view(task), {"view": "undamaged"}
     facts: dict[str, JsonValue] = {
@@ -146,7 +146,7 @@ def truth_judge(task: Task, shown: SecondView) -> Judge:
 
 
 def _asymmetry(pairs: TrainingPairs) -> tuple[float, float]:
-    """How much coarser the second views are, measured as on captures."""
+    """Range of the factor by which the second views are coarser, measured as on captures."""
     reader, blurs = PairReader(max_bytes=0), []
     for capture in pairs.captures:
         pair = reader.read(capture)

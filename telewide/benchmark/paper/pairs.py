@@ -17,9 +17,10 @@ from pydantic import JsonValue
 
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
 from telewide.capture.layout import Capture
 from telewide.capture.pair import read_pair
+from telewide.capture.pfm import write_pfm
 from telewide.errors import InputError
 from telewide.files import write_text
 from telewide.folders import alone_in

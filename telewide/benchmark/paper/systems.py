@@ -5,14 +5,15 @@ Those that learn come from ``benchmark/learned.yaml``, the others are written he
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
 from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.learned import read_learned_systems
-from telewide.benchmark.paper.learned_rows import CORRECTION_SOURCES, corrected_view, learned_row
+from telewide.benchmark.paper.corrected import CORRECTION_SOURCES, corrected_view
+from telewide.benchmark.paper.learned_rows import learned_row
 from telewide.benchmark.paper.system import Matcher, Place, Prepared, System, Task
 from telewide.benchmark.spaces import match_features
 from telewide.errors import unknown_name
