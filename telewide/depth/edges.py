@@ -6,7 +6,7 @@ is what is in doubt. A median always is one of its values, so no disparity betwe
 cost a bokeh 13 dB, more than edges 3 px out of place.
 A large photo is followed at a fraction of its size, where a matcher's map has its detail, and then at its own size in a
 narrow band along the edges found.
-Letters: H W image, h w at a fraction of its size; N places; K pixels of the window around each.
+Letters: H W image, h w at a fraction of its size; N places; K pixels of the window around each; J offsets along a side.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ class StereoNetwork(nn.Module):
         self.cells_px = cells_px
 
     @property
-    def knows_confidence(self) -> bool:
+    def has_confidence(self) -> bool:
         """Whether it has learned how likely its error is below 1 px."""
         return isinstance(self.matching, GuidedMatching)
 
@@ -125,7 +125,7 @@ class StereoNetwork(nn.Module):
             window: disparities ``[d_min, d_max)``, px.
             scales: how many, each half as large as the one before.
         """
-        if scales == 1 or not self.knows_confidence:
+        if scales == 1 or not self.has_confidence:
             return cast(NetworkOutput, self(ref_BCHW, src_BCHW, window))
         ref_half, src_half = (functional.avg_pool2d(view, 2) for view in (ref_BCHW, src_BCHW))
         half = self.match_in_scales(ref_half, src_half, halved_window(window), scales=scales - 1)

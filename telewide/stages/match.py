@@ -81,7 +81,7 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
         partial(match_with_network, network=network),
         card.searched_window,
         doubt=_unfinished(weights, card),
-        confidence_std=LEARNED_STD if network.knows_confidence else None,
+        confidence_std=LEARNED_STD if network.has_confidence else None,
     )
 
 

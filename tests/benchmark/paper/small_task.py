@@ -14,7 +14,8 @@ from telewide.benchmark.paper.cells import CellPlan
 from telewide.benchmark.paper.system import Budget, Place, Task
 from telewide.benchmark.paper.systems import SYSTEMS
 from telewide.benchmark.paper.tables import Column
-from telewide.capture.images import write_image, write_pfm
+from telewide.capture.images import write_image
+from telewide.capture.pfm import write_pfm
 
 HW = (96, 144)
 WINDOW = (0, 32)

@@ -18,7 +18,8 @@ from telewide.benchmark.paper.cells import Cells
 from telewide.benchmark.paper.chain import StageRecord
 from telewide.benchmark.paper.learned_rows import NETWORK_SOURCES, learned_row
 from telewide.benchmark.paper.system import Budget, System, undamaged_view
-from telewide.capture.images import read_image, read_pfm
+from telewide.capture.images import read_image
+from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.matching.networks import NETWORKS, build_network
 from telewide.records import read_record
