@@ -25,23 +25,27 @@ CHUNK = 65536  # mixed pixels split at a time: bounds the memory
 
 
 @dataclass(frozen=True)
-class SplitPixels:
-    """Every pixel as a front part over a rear one; apart from depth edges both are the pixel itself.
+class MixedPixels:
+    """The pixels of a photo that show two surfaces, row by row, each as a front part over a rear one.
 
     Attributes:
-        front: (H, W, 4) float32, light times coverage, and coverage in [0, 1].
-        front_radius_px: (H, W) float32, signed blur radius of the front part.
-        rear: (H, W, 3) float32, light beneath; where the coverage is 1 it is not seen.
-        rear_radius_px: (H, W) float32.
+        y: (N,) rows.
+        x: (N,) columns.
+        front: (N, 4) float32, light times coverage, and coverage in [0, 1].
+        front_radius_px: (N,) float32, signed blur radius of the front part.
+        rear: (N, 3) float32, light beneath; where the coverage is 1 it is not seen.
+        rear_radius_px: (N,) float32.
     """
 
+    y: NDArray[np.int64]
+    x: NDArray[np.int64]
     front: FloatMap
     front_radius_px: FloatMap
     rear: FloatMap
     rear_radius_px: FloatMap
 
 
-def split_mixed_pixels(light: FloatMap, radius_px: FloatMap) -> SplitPixels:
+def split_mixed_pixels(light: FloatMap, radius_px: FloatMap) -> MixedPixels:
     """Split the pixels along jumps of the blur radius into front and rear.
 
     Args:
@@ -49,19 +53,26 @@ def split_mixed_pixels(light: FloatMap, radius_px: FloatMap) -> SplitPixels:
         radius_px: (H, W) float32, signed blur radius, larger is nearer, px.
 
     Returns:
-        The parts; a pixel that shows one surface alone is its own front and its own rear.
+        Those pixels; every other one shows one surface alone.
     """
-    front = np.dstack([light, np.ones(radius_px.shape, np.float32)])
-    front_radius_px, rear, rear_radius_px = radius_px.copy(), light.copy(), radius_px.copy()
     square = np.ones((3, 3), np.uint8)
     nearest_px, farthest_px = cv2.dilate(radius_px, square), cv2.erode(radius_px, square)
     mixed = np.asarray(nearest_px - farthest_px > JUMP_PX)
     middle_px = np.asarray((nearest_px + farthest_px) / 2, dtype=np.float32)
     at_y, at_x = np.nonzero(mixed)
+    split = MixedPixels(
+        at_y,
+        at_x,
+        front=np.empty((len(at_y), 4), np.float32),
+        front_radius_px=np.empty(len(at_y), np.float32),
+        rear=np.empty((len(at_y), 3), np.float32),
+        rear_radius_px=np.empty(len(at_y), np.float32),
+    )
     for start in range(0, len(at_y), CHUNK):
-        at = at_y[start : start + CHUNK], at_x[start : start + CHUNK]
-        front[at], front_radius_px[at], rear[at], rear_radius_px[at] = _split(light, radius_px, mixed, middle_px, at=at)
-    return SplitPixels(front, front_radius_px, rear, rear_radius_px)
+        some = slice(start, start + CHUNK)
+        parts = _split(light, radius_px, mixed, middle_px, at=(at_y[some], at_x[some]))
+        split.front[some], split.front_radius_px[some], split.rear[some], split.rear_radius_px[some] = parts
+    return split
 
 
 def _split(

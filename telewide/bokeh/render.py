@@ -8,17 +8,21 @@ Letters: H W image.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from telewide.bokeh.focus import OUTLIER_PERCENT
 from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
+from telewide.cores import usable_cores
 from telewide.depth.edges import fill_unknown
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 
-LARGEST_RADIUS_SHARE = 0.1  # of the shorter side: f/1.8 at half a metre stays below; larger disks would take many GB
+LARGEST_RADIUS_SHARE = 0.1  # of the shorter side: f/1.8 at half a metre stays below
+STRIP_ROWS = 128
 
 
 def render_bokeh(
@@ -52,7 +56,20 @@ def render_bokeh(
     radius_px = radius_px.astype(np.float32)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
         return image_srgb.astype(np.float32, copy=True)
-    return srgb_from_linear(spread_light(linear_from_srgb(image_srgb), radius_px))
+    light = _by_strips(linear_from_srgb, image_srgb)
+    return _by_strips(srgb_from_linear, spread_light(light, radius_px))
+
+
+def _by_strips(convert: Callable[[FloatImage], FloatImage], image: FloatImage) -> FloatImage:
+    """Convert values strip by strip, so that what a formula leaves between its steps stays small."""
+    converted = np.empty(image.shape, np.float32)
+
+    def convert_some(top: int) -> None:
+        converted[top : top + STRIP_ROWS] = convert(image[top : top + STRIP_ROWS])
+
+    with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
+        list(pool.map(convert_some, range(0, len(image), STRIP_ROWS)))
+    return converted
 
 
 def radius_per_px_from_strength(disparity_px: FloatMap, focus_disparity_px: float, *, strength_px: float) -> float:

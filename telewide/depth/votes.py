@@ -1,4 +1,4 @@
-"""What the pixels around one say of its disparity: each weighs by the likeness of its colour, by nearness and by trust.
+"""Votes of the pixels around one for its disparity: each weighs by the likeness of its colour, by nearness and trust.
 
 Letters: H W image; N places; K pixels of the window around each; J offsets along one side of it.
 """

@@ -98,7 +98,7 @@ def test_disk_has_its_area_spread_and_centre(radius_px: float) -> None:
     spot = lens.spread_light(light, np.full((160, 160), radius_px, np.float32))[..., 1]
     y, x = np.mgrid[:160, :160]
     assert spot.sum() == pytest.approx(1000, rel=1e-3)
-    assert (spot * x).sum() / spot.sum() == pytest.approx(80, abs=0.02 + lens._coarseness(radius_px) - 1)
+    assert (spot * x).sum() / spot.sum() == pytest.approx(80, abs=0.02 + lens._cell_of(radius_px) - 1)
     spread_px2 = (spot * ((x - 80) ** 2 + (y - 80) ** 2)).sum() / spot.sum()
     assert np.sqrt(2 * spread_px2) == pytest.approx(radius_px, rel=0.06, abs=0.25)
 
@@ -153,17 +153,18 @@ def test_tiles_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.quantile(np.abs(tiled - whole), 0.999) < 2 / 255
 
 
-def test_large_disks_take_bounded_memory(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("radius_px", [6.0, 60.0])
+def test_memory_goes_by_pixels_and_not_by_the_radius(
+    radius_px: float, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
     monkeypatch.setattr(lens, "TILE_PX", 64)
-    monkeypatch.setattr(lens, "PX_AT_ONCE", 200_000)
-    hw = (320, 400)
-    photo, disparity_px = rng.random((*hw, 3)).astype(np.float32), np.zeros(hw, np.float32)
-    disparity_px[:, 200:] = 1
+    photo = rng.random((600, 700, 3)).astype(np.float32)
+    slope_px = np.linspace(0, 1, 700, dtype=np.float32)[None].repeat(600, axis=0)
     tracemalloc.start()
-    render_bokeh(photo, disparity_px, focus_disparity_px=0.0, radius_per_px=1e3)
-    whole_photo, peak = 60 * photo.size, tracemalloc.get_traced_memory()[1]
+    render_bokeh(photo, slope_px, focus_disparity_px=0.5, radius_per_px=2 * radius_px)
+    peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 260 * 200_000 + whole_photo
+    assert peak < 110 * slope_px.size
 
 
 def test_unknown_disparity_is_that_of_the_nearest_known(rng: np.random.Generator) -> None:

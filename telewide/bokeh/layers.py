@@ -1,0 +1,287 @@
+"""A photo sorted into layers by blur radius, at its own size or in cells of several pixels.
+
+A *bin* is a range of signed radii that shares one disk; a *layer* is a bin with what it continues to behind others.
+What a nearer surface hides is continued from the nearest pixel of the surfaces behind it, so that a blurred edge shows
+background and not darkness, and a slanted surface that is cut into bins stays whole.
+Letters: H W image, h w in cells; N pixels of one bin, or bins.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telewide.bokeh.coverage import split_mixed_pixels
+from telewide.depth.edges import nearest_known
+from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
+
+BIN_PX = 1.0  # finer bins gain nothing, bins of 2 px cost 2 dB
+BIN_GROWTH = 0.12  # bins may widen with their radius: a large disk forgives more
+FILL_PX = 5  # hidden colours are means over this square: what nobody saw is better guessed smooth
+LEAST_KNOWN = 0.25  # share of a cell that is seen, for it to be continued where nothing is
+TILE_PX = 256
+_TINY = np.float32(1e-6)
+Number = TypeVar("Number", np.uint8, np.float32)
+
+
+@dataclass(frozen=True)
+class Box:
+    """Rows ``top:bottom`` and columns ``left:right``."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Slices that cut it out of an array."""
+        return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    @property
+    def hw(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.bottom - self.top, self.right - self.left
+
+    def grown(self, margin: int, *, hw: tuple[int, int]) -> Box:
+        """Widen by a margin, within a frame of ``hw``."""
+        top, left = max(self.top - margin, 0), max(self.left - margin, 0)
+        return Box(top, min(self.bottom + margin, hw[0]), left, min(self.right + margin, hw[1]))
+
+    @property
+    def sides(self) -> tuple[int, int, int, int]:
+        """Top, bottom, left and right."""
+        return self.top, self.bottom, self.left, self.right
+
+    def outward(self, multiple: int) -> Box:
+        """Widen to sides that are whole multiples."""
+        top, left = (side // multiple * multiple for side in (self.top, self.left))
+        bottom, right = (-(-side // multiple) * multiple for side in (self.bottom, self.right))
+        return Box(top, bottom, left, right)
+
+    def in_cells(self, cell: int) -> Box:
+        """The same box in cells; its sides are whole multiples."""
+        return Box(self.top // cell, self.bottom // cell, self.left // cell, self.right // cell)
+
+    def seen_from(self, other: Box) -> Box:
+        """The same box counted from another's corner."""
+        return Box(self.top - other.top, self.bottom - other.top, self.left - other.left, self.right - other.left)
+
+
+def tiles_of(hw: tuple[int, int], size: int) -> list[Box]:
+    """Cut a frame into boxes."""
+    return [
+        Box(top, min(top + size, hw[0]), left, min(left + size, hw[1]))
+        for top in range(0, hw[0], size)
+        for left in range(0, hw[1], size)
+    ]
+
+
+def box_of(mask: BoolMap) -> Box:
+    """Find the smallest box around what is True; an empty one where nothing is."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return Box(0, 0, 0, 0)
+    return Box(int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1)
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Signed radii cut into bins, far to near.
+
+    Attributes:
+        edges_px: (N - 1,) between them.
+        radius_px: (N,) of their disks: the mean, so that a flat surface gets its exact one; 0 where a bin is empty.
+    """
+
+    edges_px: NDArray[np.float32]
+    radius_px: NDArray[np.float64]
+
+    def index(self, radius_px: FloatMap) -> NDArray[np.uint8]:
+        """Number of the bin of each radius."""
+        return np.digitize(radius_px, self.edges_px).astype(np.uint8)
+
+
+def cut_into_bins(radius_px: FloatMap) -> Bins:
+    """Choose the bins of a map of radii.
+
+    Args:
+        radius_px: (H, W) float32, signed blur radius, larger is nearer, px.
+    """
+    farthest, nearest = float(radius_px.min()), float(radius_px.max())
+    edges_px = [BIN_PX / 2]
+    while edges_px[-1] < max(-farthest, nearest):
+        edges_px.append(edges_px[-1] + max(BIN_PX, BIN_GROWTH * edges_px[-1]))
+    edges = np.array([*(-e for e in reversed(edges_px)), *edges_px], dtype=np.float32)
+    edges = edges[(edges > farthest) & (edges < nearest)]
+    bin_index = np.digitize(radius_px, edges).ravel()
+    count = np.bincount(bin_index, minlength=len(edges) + 1)
+    total = np.bincount(bin_index, weights=radius_px.ravel(), minlength=len(edges) + 1)
+    return Bins(edges, total / np.maximum(count, 1))
+
+
+@dataclass(frozen=True)
+class _Fronts:
+    """Front parts of mixed pixels that belong to one bin, row by row: places (N,), light and coverage (N, 4)."""
+
+    y: NDArray[np.int64]
+    x: NDArray[np.int64]
+    rgba: FloatMap
+
+    def within(self, box: Box) -> _Fronts:
+        first, last = np.searchsorted(self.y, (box.top, box.bottom))
+        some = first + np.flatnonzero((self.x[first:last] >= box.left) & (self.x[first:last] < box.right))
+        return _Fronts(self.y[some] - box.top, self.x[some] - box.left, self.rgba[some])
+
+
+@dataclass(frozen=True)
+class SortedPhoto:
+    """A photo whose pixels are sorted by blur radius.
+
+    Attributes:
+        rear: (H, W, 4) float32, linear light and 1; of mixed pixels the rear part.
+        rear_bin: (H, W) uint8, its bin.
+        bins: the bins.
+    """
+
+    rear: FloatMap
+    rear_bin: NDArray[np.uint8]
+    bins: Bins
+    _fronts: dict[int, _Fronts]
+
+    @property
+    def hw(self) -> tuple[int, int]:
+        """Height and width, px."""
+        return self.rear_bin.shape[0], self.rear_bin.shape[1]
+
+    def bins_in(self, box: Box) -> list[int]:
+        """Bins that occur in a box, far to near."""
+        count = np.bincount(self.rear_bin[box.slices].ravel(), minlength=len(self.bins.radius_px))
+        in_front = [index for index, fronts in self._fronts.items() if len(fronts.within(box).y)]
+        return [int(index) for index in np.union1d(np.flatnonzero(count), np.array(in_front, dtype=np.int64))]
+
+    def layer_in_cells(self, index: int, *, cell: int, reach_px: float) -> FloatMap:
+        """Make the layer of a bin in cells.
+
+        Args:
+            index: of the bin.
+            cell: px.
+            reach_px: how far behind nearer surfaces it is continued.
+
+        Returns:
+            (h, w, 4) float32, light times coverage, and coverage.
+        """
+        layer = self.continued(index, Box(0, self.hw[0], 0, self.hw[1]), cell=cell, reach_px=reach_px)
+        fronts = self._fronts.get(index)
+        if fronts is not None:
+            front = np.zeros_like(layer)
+            np.add.at(front, (fronts.y // cell, fronts.x // cell), fronts.rgba / np.float32(cell**2))
+            layer *= 1 - front[..., 3:]
+            layer += front
+        return layer
+
+    def continued(self, index: int, box: Box, *, cell: int, reach_px: float) -> FloatMap:
+        """Make the rear parts of a bin and what they continue to, in cells.
+
+        A cell is shared among the bins up to this one as they are seen in it; a cell of which none is seen is shared as
+        the nearest one of which some is.
+
+        Args:
+            index: of the bin.
+            box: where; its sides are multiples of the cell.
+            cell: px.
+            reach_px: how far behind nearer surfaces it is continued.
+
+        Returns:
+            (h, w, 4) float32, light times coverage, and coverage.
+        """
+        seen = self._seen(index, box, cell=cell)
+        behind = (self.rear_bin[box.slices] <= index).view(np.uint8) * np.uint8(255)
+        known_share = shrunk(behind, cell)[..., None] * np.float32(1 / 255)
+        layer = np.asarray(seen / np.maximum(known_share, seen[..., 3:] + _TINY), dtype=np.float32)
+        known = known_share[..., 0] >= LEAST_KNOWN
+        if known.all() or not known.any():
+            return layer
+        distance, source = nearest_known(known)
+        hidden = ~known & (distance * cell <= reach_px)
+        layer[~known & ~hidden] = 0
+        layer[hidden] = _smooth(layer, size=FILL_PX // cell | 1).reshape(-1, 4)[source[hidden]]
+        return layer
+
+    def _seen(self, index: int, box: Box, *, cell: int) -> FloatMap:
+        """Light and coverage (h, w, 4) of a bin's rear parts, in cells."""
+        seen = np.zeros((box.hw[0] // cell, box.hw[1] // cell, 4), np.float32)
+        for tile in tiles_of(box.hw, TILE_PX):
+            there = Box(tile.top + box.top, tile.bottom + box.top, tile.left + box.left, tile.right + box.left).slices
+            mask = (self.rear_bin[there] == index).view(np.uint8)
+            if mask.any():
+                own = np.asarray(cv2.copyTo(self.rear[there], mask), dtype=np.float32)
+                seen[tile.in_cells(cell).slices] = shrunk(own, cell)
+        return seen
+
+    def layer_of(self, index: int, box: Box, *, hidden: FloatMap | None) -> FloatMap:
+        """Make the layer of a bin at the photo's own size, within a box.
+
+        Args:
+            index: of the bin.
+            box: where.
+            hidden: (h, w, 4) of the box: what the bin continues to; None where it hides behind nothing.
+
+        Returns:
+            (h, w, 4) float32, light times coverage, and coverage.
+        """
+        rear_bin = self.rear_bin[box.slices]
+        layer = np.asarray(cv2.copyTo(self.rear[box.slices], (rear_bin == index).view(np.uint8)), dtype=np.float32)
+        if hidden is not None:
+            layer += cv2.copyTo(hidden, (rear_bin > index).view(np.uint8))
+        fronts = self._fronts.get(index)
+        if fronts is not None:
+            some = fronts.within(box)
+            layer[some.y, some.x] = some.rgba + (1 - some.rgba[:, 3:]) * layer[some.y, some.x]
+        return layer
+
+
+def shrunk(plane: NDArray[Number], cell: int) -> NDArray[Number]:
+    """Average a plane over cells; its sides are multiples of them."""
+    if cell == 1:
+        return plane
+    wh = plane.shape[1] // cell, plane.shape[0] // cell
+    return np.asarray(cv2.resize(plane, wh, interpolation=cv2.INTER_AREA), dtype=plane.dtype)
+
+
+def _smooth(layer: FloatMap, *, size: int) -> FloatMap:
+    """Colours averaged over a square; the coverage stays."""
+    if size == 1:
+        return layer
+    mean = np.asarray(cv2.blur(layer, (size, size), borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
+    return np.asarray(mean * (layer[..., 3:] / np.maximum(mean[..., 3:], _TINY)), dtype=np.float32)
+
+
+def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> SortedPhoto:
+    """Sort a photo for a lens.
+
+    Args:
+        light: (H, W, 3) float32, linear light.
+        radius_px: (H, W) float32, signed blur radius, larger is nearer, px.
+        multiple: of which the sides are made, by mirroring what lies at their ends.
+    """
+    bins = cut_into_bins(radius_px)
+    split = split_mixed_pixels(light, radius_px)
+    beyond_y, beyond_x = (-size % multiple for size in radius_px.shape)
+    rear = np.asarray(cv2.cvtColor(light, cv2.COLOR_RGB2RGBA), dtype=np.float32)
+    rear_bin = bins.index(radius_px)
+    rear[split.y, split.x, :3], rear_bin[split.y, split.x] = split.rear, bins.index(split.rear_radius_px)
+    if beyond_y or beyond_x:
+        beyond = 0, beyond_y, 0, beyond_x
+        rear = np.asarray(cv2.copyMakeBorder(rear, *beyond, cv2.BORDER_REFLECT), dtype=np.float32)
+        rear_bin = np.asarray(cv2.copyMakeBorder(rear_bin, *beyond, cv2.BORDER_REFLECT), dtype=np.uint8)
+    front_bin = bins.index(split.front_radius_px)
+    fronts = {}
+    for index in np.unique(front_bin[split.front[:, 3] > 0]):
+        some = np.flatnonzero((front_bin == index) & (split.front[:, 3] > 0))
+        fronts[int(index)] = _Fronts(split.y[some], split.x[some], split.front[some])
+    return SortedPhoto(rear, rear_bin, bins, fronts)
