@@ -28,8 +28,6 @@ class LearnedSystem(Options):
     """Sharpens the second view before anything is trained or matched; None for enlarging it as it is."""
     settings: tuple[str, ...] = ()
     """Differences from the recipe, ``key=value``."""
-    method: Literal["network", "joint"] = "network"
-    """How its network answers: alone, or with semi-global matching."""
     shows: Literal["disparity", "space"] = "disparity"
     """What it is judged by: what its network answers, or its space of features."""
     corrects: bool = False

@@ -35,7 +35,6 @@ _SPACE_SOURCES = {
     "contrastive": ("training.spaces", "training.contrastive", "matching.psmnet"),
     "auto-encoder": ("training.spaces", "training.auto_encoder"),
 }
-_JOINT_SOURCES = ("matching.joint", "matching.semiglobal", "matching.filling", "matching.subpixel")
 _RESTORER_SOURCES = ("restoration", "benchmark.paper.restored")
 
 
@@ -58,7 +57,6 @@ def learned_row(name: str, system: LearnedSystem) -> System:
         *NETWORK_SOURCES.get(recipe.network, ("matching",)),
         *_SPACE_SOURCES[recipe.train.feature_space],
         *(("simulate.raycast", "training.world_samples") if recipe.train.rehearsal.steps else ()),
-        *(_JOINT_SOURCES if system.method == "joint" else ()),
         *(CORRECTION_SOURCES if system.corrects else ()),
         *(_RESTORER_SOURCES if system.restorer else ()),
         *(("benchmark.spaces",) if system.shows == "space" else ()),

@@ -40,7 +40,6 @@ from telewide.correction.blur import damage_range, fit_blur
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.inference import GRID_PX, choose_device, full_precision, match_with_network
-from telewide.matching.joint import match_jointly
 from telewide.matching.networks import StereoNetwork, comparable_map, prepare_view
 from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window
@@ -89,7 +88,7 @@ def prepare_learned(system: LearnedSystem, task: Task, place: Place, *, sources:
         encoder = space_encoder(_features(link, recipe.network, device))
         return Prepared({"": partial(_match_in_space, encoder)}, shown, encoder, steps=link.steps)
     link = train_chain(chain, device=device)
-    return Prepared(_matchers(link, system.method, bool(task.validation), device), shown, steps=link.steps)
+    return Prepared(_matchers(link, bool(task.validation), device), shown, steps=link.steps)
 
 
 def _second_view(
@@ -157,18 +156,17 @@ def _asymmetry(pairs: TrainingPairs) -> tuple[float, float]:
     return USUAL_ASYMMETRY if damage is None else damage.factor
 
 
-def _matchers(link: Link, method: str, has_validation: bool, device: torch.device) -> dict[str, Matcher]:
+def _matchers(link: Link, has_validation: bool, device: torch.device) -> dict[str, Matcher]:
     """The last weights of a stage and, where something judged them, the best."""
     files = {LAST: f"{link.stage.name}.safetensors"}
     if has_validation:
         files[BEST] = best_name(link.stage)
     networks = {name: load_weights(link.folder / file, device=device)[0] for name, file in files.items()}
-    return {name: _matcher(network, method) for name, network in networks.items()}
+    return {name: _matcher(network) for name, network in networks.items()}
 
 
-def _matcher(network: StereoNetwork, method: str) -> Matcher:
-    match = match_jointly if method == "joint" else match_with_network
-    return lambda ref, src, window: match(ref, src, network=network, window=window).disparity_px
+def _matcher(network: StereoNetwork) -> Matcher:
+    return lambda ref, src, window: match_with_network(ref, src, network=network, window=window).disparity_px
 
 
 def _match_in_space(encoder: Encoder, ref: FloatMap, src: FloatMap, window: Window) -> FloatMap:
