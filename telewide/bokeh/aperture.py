@@ -91,22 +91,22 @@ class Spot:
 
 
 @lru_cache(maxsize=1024)
-def spot_of(radius_cells: float, quarter: tuple[int, int] | None, *, aperture: Aperture) -> Spot:
+def spot_of(radius_px: float, quarter: tuple[int, int] | None, *, aperture: Aperture) -> Spot:
     """Draw what the opening, or one quarter of it, makes of a point.
 
     Args:
-        radius_cells: signed, positive in front of the focus, in cells of the picture; not 0.
+        radius_px: signed, positive in front of the focus, px of the picture drawn into; not 0.
         quarter: signs of y and x of the points of the opening; None for the whole.
         aperture: the opening.
     """
     # Through the point u of the opening a pixel lights what lies radius * u beside it. The opening is described by its
     # spots behind the focus, where the radius is negative: as -u. A filter that correlates asks where light comes from.
-    size = math.ceil(abs(radius_cells) * aperture.reach + 0.5)
+    size = math.ceil(abs(radius_px) * aperture.reach + 0.5)
     offset = (np.arange((2 * size + 1) * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - size
-    inside = aperture.contains(offset[:, None] / radius_cells, offset[None] / radius_cells)
+    inside = aperture.contains(offset[:, None] / radius_px, offset[None] / radius_px)
     top = left = 0
     if quarter is not None:
-        sign_y, sign_x = (-sign * (1 if radius_cells > 0 else -1) for sign in quarter)
+        sign_y, sign_x = (-sign * (1 if radius_px > 0 else -1) for sign in quarter)
         inside &= (offset[:, None] * sign_y > 0) & (offset[None] * sign_x > 0)
         top, left = (size if sign > 0 else 0 for sign in (sign_y, sign_x))
     covered = inside.reshape(2 * size + 1, _SUPERSAMPLING, 2 * size + 1, _SUPERSAMPLING).sum(axis=(1, 3))
