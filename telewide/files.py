@@ -24,10 +24,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from telewide.errors import InputError, MissingPartError, TelewideError, UsageError
 from telewide.ranges import MAX_FILE_BYTES
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 Content = TypeVar("Content")
 
@@ -78,7 +81,7 @@ def open_regular(path: Path) -> io.BufferedReader:
             takes no space), or cannot be opened.
     """
     try:
-        stream = io.FileIO(path, opener=_open_without_waiting)
+        stream = _PromptFile(path, opener=_open_without_waiting)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise UsageError(f"{path} does not exist") from error
     except IsADirectoryError as error:
@@ -159,6 +162,22 @@ def _why_not_read(found: os.stat_result) -> str | None:
     if found.st_size > MAX_FILE_BYTES:
         return f"has {found.st_size} bytes; files of up to {MAX_FILE_BYTES >> 30} GiB are read"
     return None
+
+
+class _PromptFile(io.FileIO):
+    """A file that never says "try again later", as /proc/kmsg does, whose size and kind are those of an empty file."""
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        n_bytes = super().readinto(buffer)
+        if n_bytes is None:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        return n_bytes
+
+    def readall(self) -> bytes:
+        data: bytes | None = super().readall()
+        if data is None:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        return data
 
 
 def _open_without_waiting(path: str, flags: int) -> int:

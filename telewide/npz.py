@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
@@ -12,6 +11,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from telewide.archives import open_archive
 from telewide.errors import InputError, TelewideError
 from telewide.files import open_regular, read_regular
 
@@ -36,7 +36,7 @@ def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) 
         InputError: it is damaged, lacks one of them, holds objects, or claims more than it may.
     """
     try:
-        with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
+        with open_regular(path) as stream, open_archive(stream) as archive:
             entries = [archive.getinfo(f"{name}.npy") for name in names]
             claimed = sum(entry.file_size for entry in entries)
             if claimed > most_bytes:

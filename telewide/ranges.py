@@ -9,8 +9,12 @@ MAX_PIXELS = 1 << 28
 """Of a photo, 268 megapixels; phones have up to 200."""
 MAX_SIDE_PX = 1 << 16
 """Of a photo."""
+MAX_SIDE_RATIO = 32
+"""Of a photo's longer side to its shorter one; panoramas have up to 20."""
 MAX_FILE_BYTES = 1 << 31
 """Of any file that is read: such a photo with three channels of 16 bits and no compression has 1.6e9."""
+MAX_PACKED_BYTES = 1 << 29
+"""Of a photo in a format that loses something: 2 bytes a pixel of the largest, more than any encoder writes."""
 MAX_SCANS = 64
 """Of a progressive JPEG; encoders make 10 to 20, and each costs a walk over all its pixels."""
 MAX_FOCAL_SIDES = 64

@@ -4,6 +4,8 @@ hangs, nothing grows beyond all measure.
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
 import socket
 import time
@@ -13,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from telewide import files
 from telewide.boards.board import load_board
 from telewide.calibration.rig_file import read_rig
 from telewide.capture.facts import read_facts
@@ -145,6 +148,18 @@ def test_what_a_path_leads_to_is_told_without_an_error(tmp_path: Path) -> None:
 def test_a_device_is_no_file() -> None:
     with pytest.raises(InputError, match="/dev/zero is a pipe, a socket or a device"):
         read_regular(Path("/dev/zero"))
+
+
+def test_a_file_that_answers_later_is_an_error_at_once() -> None:
+    """As /proc/kmsg does, which calls itself a regular file of no bytes; a link to it may lie in a shared folder."""
+    reading, writing = os.pipe2(os.O_NONBLOCK)
+    with files._PromptFile(reading) as raw, pytest.raises(BlockingIOError):
+        raw.readall()
+    os.close(writing)
+    reading, writing = os.pipe2(os.O_NONBLOCK)
+    with io.BufferedReader(files._PromptFile(reading)) as stream, pytest.raises(BlockingIOError):
+        hashlib.file_digest(stream, "sha256")
+    os.close(writing)
 
 
 def test_a_file_that_is_not_there_is_a_usage_error(tmp_path: Path) -> None:

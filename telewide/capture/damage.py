@@ -7,10 +7,10 @@ from io import BytesIO
 from pathlib import Path
 
 from telewide.capture.exif import PhotoFacts
+from telewide.capture.formats import read_photo
 from telewide.capture.jpeg import has_too_many_scans
 from telewide.capture.pillow_photos import open_photo
 from telewide.errors import InputError
-from telewide.files import open_regular
 
 DAMAGED = "cannot be read: the file is cut off or damaged; copy it again from the phone"
 _COARSE_PX = (16, 16)
@@ -39,10 +39,10 @@ def why_damaged(path: Path, facts: PhotoFacts) -> str | None:
 
 def _is_whole_jpeg(path: Path) -> bool:
     try:
-        with warnings.catch_warnings(), open_regular(path) as stream:
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on large photos
-            data = stream.read()
-            if not data.startswith(b"\xff\xd8"):
+            data, kind = read_photo(path)
+            if kind != "JPEG":
                 return True  # HEIC, which counts as JPEG elsewhere
             if has_too_many_scans(data):
                 return False

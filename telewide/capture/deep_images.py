@@ -15,7 +15,9 @@ import cv2
 import numpy as np
 
 from telewide.capture.colour_profiles import warn_unless_srgb
+from telewide.capture.exif import believable_orientation
 from telewide.capture.sizes import Samples, at_read_size, check_size
+from telewide.capture.tiff_tags import check_directories
 from telewide.errors import InputError
 from telewide.ranges import MAX_PIXELS
 
@@ -58,9 +60,11 @@ def decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
 
     Raises:
         InputError: it holds something else than one photo, or is compressed in a way that is not read.
+        ValueError: its tags hold more numbers than any photo needs.
     """
     import tifffile
 
+    check_directories(BytesIO(data))
     with tifffile.TiffFile(BytesIO(data)) as tiff:
         page = tiff.pages.first
         if page.dtype is None or page.dtype.kind not in "bu" or page.dtype.itemsize > 2:
@@ -73,7 +77,7 @@ def decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
             raise InputError(f"{path} states {' x '.join(map(str, page.shape))} values; one photo was expected")
         samples = _page_samples(path, data, page)
         axes, is_negative = page.axes, page.photometric == tifffile.PHOTOMETRIC.MINISWHITE
-        orientation = page.tags.valueof(_TAG_ORIENTATION, default=1)
+        orientation = believable_orientation(page.tags.valueof(_TAG_ORIENTATION))
         profile = page.tags.valueof(_TAG_ICC)
     if axes not in {"YX", "YXS", "SYX"} or samples.ndim != len(axes) or samples.size == 0:
         raise InputError(f"{path} is a TIFF with the axes {axes}; one photo was expected")
@@ -81,7 +85,7 @@ def decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:
     if axes == "SYX":
         samples = np.moveaxis(samples, 0, -1)
     samples = at_read_size(path, samples, hw)
-    return (65535 - samples if is_negative else samples), int(orientation)
+    return (65535 - samples if is_negative else samples), orientation
 
 
 def _page_samples(path: Path, data: bytes, page: tifffile.TiffPage) -> Samples:

@@ -15,13 +15,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import BinaryIO
 
-import tifffile
 from PIL import Image, TiffImagePlugin
 
-from telewide.capture.formats import TAG_DNG_VERSION, PhotoFormat, format_by_head, open_tiff, read_bytes
-from telewide.capture.pillow_photos import open_photo
+from telewide.capture.formats import HEAD_BYTES, TAG_DNG_VERSION, PhotoFormat, format_by_head, open_tiff, read_bytes
+from telewide.capture.pillow_photos import exif_of, open_photo
 from telewide.capture.raw import stored_hw
 from telewide.capture.sizes import read_hw
+from telewide.capture.tiff_tags import read_tags
 from telewide.errors import InputError
 from telewide.files import once_a_file, open_regular
 
@@ -30,12 +30,13 @@ _MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL = 271, 272, 274, 50708
 _FOCAL_LENGTH, _F35, _DIGITAL_ZOOM, _DISTANCE = 37386, 41989, 41988, 37382
 # Date, its fraction of a second, its offset from UTC; the moment of exposure first.
 _DATES = ((36867, 37521, 36881), (36868, 37522, 36882), (306, 37520, 36880))
+_WANTED = {_MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL, _FOCAL_LENGTH, _F35, _DIGITAL_ZOOM, _DISTANCE, TAG_DNG_VERSION}
+_WANTED |= {tag for date in _DATES for tag in date}
 _LONGEST_FOCAL_MM = 2000.0
 _FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _FARTHEST_M = 10_000.0
 _MOST_DIGITS = 9
 _INFINITY = 0xFFFFFFFF
-_HEAD_BYTES = 64
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
 _KINDS = {"JPEG": "jpeg", "WEBP": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
 
@@ -108,7 +109,7 @@ def read_photo_facts(path: Path) -> PhotoFacts:
         InputError: no photo.
         MissingPartError: a HEIC photo without the extra that reads it.
     """
-    head = read_bytes(path, at_most=_HEAD_BYTES)
+    head = read_bytes(path, at_most=HEAD_BYTES)
     kind = format_by_head(path, head)
     with open_regular(path) as stream:
         if kind in {"TIFF", "RAW"}:
@@ -219,26 +220,35 @@ def _tags_of_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> tuple[Tag
     with warnings.catch_warnings(), suppress(*_DAMAGES):
         warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
         with open_photo(path, stream, kind) as photo:
-            exif = photo.getexif()
-            return {**exif, **exif.get_ifd(_IFD_EXIF)}, read_hw((photo.height, photo.width))
+            exif = exif_of(photo)
+            found = (exif, exif.get_ifd(_IFD_EXIF))
+            tags = {tag: value for ifd in found for tag in _WANTED if (value := ifd.get(tag)) is not None}
+            return tags, read_hw((photo.height, photo.width))
     return {}, None
 
 
 def _tags_of_tiff(stream: BinaryIO) -> tuple[Tags, tuple[int, int] | None]:
     """Return the same of a TIFF, a DNG or another RAW that is built like a TIFF."""
-    tags: dict[int, object] = {}
+    tags = read_tags(stream, _WANTED)
     with suppress(InputError), open_tiff(stream) as tiff:
         first = tiff.pages.first
-        tags = {tag.code: tag.value for tag in first.tags}
-        for name, value in (first.tags.valueof(_IFD_EXIF) or {}).items():
-            tags[int(tifffile.TIFF.EXIF_TAGS[name]) if isinstance(name, str) else int(name)] = value
         is_plain = TAG_DNG_VERSION not in tags and first.tags.valueof(_NEW_SUBFILE, default=0) == 0
         return tags, read_hw((int(first.imagelength), int(first.imagewidth))) if is_plain else stored_hw(tiff)
     return tags, None
 
 
+def believable_orientation(value: object) -> int:
+    """Return an EXIF orientation, 1 to 8: 1, upright, for what is none.
+
+    Args:
+        value: of the tag, as a reader returns it.
+    """
+    number = _number(value)
+    return int(number) if number is not None and 1 <= number <= 8 else 1
+
+
 def _facts(kind: str, tags: Tags, hw: tuple[int, int] | None) -> PhotoFacts:
-    orientation = int(_number(tags.get(_ORIENTATION)) or 1)
+    orientation = believable_orientation(tags.get(_ORIENTATION))
     is_turned = orientation in {5, 6, 7, 8}
     zoom = _number(tags.get(_DIGITAL_ZOOM))
     taken, taken_step_s = _moment(tags)
@@ -251,7 +261,7 @@ def _facts(kind: str, tags: Tags, hw: tuple[int, int] | None) -> PhotoFacts:
         f35_mm=_within(_number(tags.get(_F35)), _LONGEST_FOCAL_MM),
         taken=taken,
         taken_step_s=taken_step_s,
-        orientation=orientation if 1 <= orientation <= 8 else 1,
+        orientation=orientation,
         digital_zoom_ratio=1.0 if zoom == 0 else zoom,  # 0 states that there was none
         subject_distance_m=_distance_m(tags.get(_DISTANCE)),
     )

@@ -15,8 +15,10 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal
 
+from telewide.capture.tiff_tags import MOST_DIRECTORIES, check_directories
 from telewide.errors import InputError
 from telewide.files import open_regular
+from telewide.ranges import MAX_FILE_BYTES, MAX_PACKED_BYTES
 
 if TYPE_CHECKING:
     import tifffile
@@ -42,13 +44,15 @@ UNREAD_SUFFIXES = frozenset(
 """Pictures and films that are told, not read."""
 READ_KINDS = "JPEG, PNG, TIFF, WebP, HEIC, AVIF, DNG and other RAW"
 
+HEAD_BYTES = 64
+"""Of a file, by which its format is told."""
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 TAG_DNG_VERSION = 50706
 
+_PACKED = {"JPEG", "WEBP", "HEIF", "AVIF"}
 # What parsing a damaged file can raise.
 _DAMAGES = (ValueError, OSError, IndexError, KeyError, TypeError, AttributeError, ZeroDivisionError, OverflowError)
 _PNG = b"\x89PNG\r\n\x1a\n"
-_MAX_DIRECTORIES = 64
 
 
 def read_bytes(path: Path, *, at_most: int = -1) -> bytes:
@@ -75,21 +79,25 @@ def read_bytes(path: Path, *, at_most: int = -1) -> bytes:
     return data
 
 
-def photo_format(path: Path, data: bytes) -> PhotoFormat:
-    """Tell the format of a photo.
+def read_photo(path: Path) -> tuple[bytes, PhotoFormat]:
+    """Read the file of a photo, and tell its format.
 
     Args:
-        path: its suffix tells a TIFF from a RAW.
-        data: its content.
+        path: the file; its suffix tells a TIFF from a RAW.
 
     Returns:
-        The format; RAW for a DNG of any suffix.
+        Its content and its format; RAW for a DNG of any suffix.
 
     Raises:
-        InputError: no photo that can be read.
+        UsageError: there is no such file.
+        InputError: no photo that can be read, or too large for its format.
     """
-    kind = format_by_head(path, data)
-    return "RAW" if kind == "TIFF" and _is_dng(data) else kind
+    kind = format_by_head(path, read_bytes(path, at_most=HEAD_BYTES))
+    most_bytes = MAX_PACKED_BYTES if kind in _PACKED else MAX_FILE_BYTES
+    data = read_bytes(path, at_most=most_bytes + 1)
+    if len(data) > most_bytes:
+        raise InputError(f"{path} is larger than {most_bytes >> 20} MiB, which no photo of its format is")
+    return data, "RAW" if kind == "TIFF" and _is_dng(data) else kind
 
 
 def format_by_head(path: Path, head: bytes) -> PhotoFormat:
@@ -133,13 +141,14 @@ def open_tiff(stream: BinaryIO) -> Iterator[tifffile.TiffFile]:
         The open file.
 
     Raises:
-        InputError: it cannot be parsed.
+        InputError: it cannot be parsed, or states what no photo needs.
     """
     import tifffile
 
     remarks = logging.getLogger("tifffile")
     was_disabled, remarks.disabled = remarks.disabled, True
     try:
+        check_directories(stream)
         # Files of microscopes and scanners are walked through in ways of their own.
         with tifffile.TiffFile(stream, is_lsm=False, is_scanimage=False, is_ndpi=False) as tiff:
             yield tiff
@@ -165,11 +174,11 @@ def tiff_pages(tiff: tifffile.TiffFile) -> Iterator[tifffile.TiffPage]:
         if above.offset in seen:
             return
         below = above.pages if isinstance(above, tifffile.TiffPage) else None
-        for page in (above, *islice(below or (), _MAX_DIRECTORIES)):
+        for page in (above, *islice(below or (), MOST_DIRECTORIES)):
             if page.offset not in seen and isinstance(page, tifffile.TiffPage):
                 seen.add(page.offset)
                 yield page
-            if len(seen) >= _MAX_DIRECTORIES:
+            if len(seen) >= MOST_DIRECTORIES:
                 return
 
 

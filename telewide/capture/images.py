@@ -21,10 +21,10 @@ from PIL import Image, UnidentifiedImageError
 
 from telewide.capture.colour_profiles import srgb_from_photo, warn_unless_srgb
 from telewide.capture.deep_images import decode_deep_png, decode_deep_tiff
-from telewide.capture.exif import read_photo_facts
-from telewide.capture.formats import PhotoFormat, photo_format, read_bytes
+from telewide.capture.exif import believable_orientation, read_photo_facts
+from telewide.capture.formats import PhotoFormat, read_photo
 from telewide.capture.jpeg import has_too_many_scans
-from telewide.capture.pillow_photos import open_photo
+from telewide.capture.pillow_photos import exif_of, open_photo
 from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.sizes import Samples, at_read_size, is_read_halved
 from telewide.errors import InputError, TelewideError, UsageError
@@ -50,8 +50,7 @@ def read_image(path: Path) -> FloatImage:
         InputError: the file is empty, cut off, damaged, or of another format.
         MissingPartError: a HEIC photo without the extra that reads it.
     """
-    data = read_bytes(path)
-    kind = photo_format(path, data)
+    data, kind = read_photo(path)
     try:
         if kind == "RAW":
             return show_as_srgb(develop(path, data))
@@ -176,7 +175,7 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
             photo.draft(photo.mode, (hw[1] // 2, hw[0] // 2))  # decodes half as many of each block's waves
         photo.load()  # also finds cut-off files, which OpenCV lets pass
         # Pillow turns a TIFF itself when it loads it, and then forgets its tag.
-        orientation = int(photo.getexif().get(_TAG_ORIENTATION, 1) or 1)
+        orientation = believable_orientation(exif_of(photo).get(_TAG_ORIENTATION))
         # Byte 24 of a PNG is the bit depth; Pillow would cut 16-bit colour down to 8.
         if photo.format == "PNG" and data[24] == 16:
             warn_unless_srgb(path, photo.info.get("icc_profile"))

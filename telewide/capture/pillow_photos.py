@@ -17,6 +17,7 @@ from telewide.capture.sizes import check_size
 from telewide.errors import InputError, MissingPartError, extra_hint
 
 _SDR_SRGB_PRIMARIES = {0, 1, 2}
+_MOST_EXIF_BYTES = 1 << 22
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
 _log = logging.getLogger("telewide")
 
@@ -52,6 +53,21 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
     if kind == "AVIF" and not features.check("avif"):
         raise InputError(f"{path} is an AVIF photo, which this Pillow cannot read", hint="export it as JPEG or PNG")
     return _opened(path, stream, kind)
+
+
+def exif_of(photo: Image.Image) -> Image.Exif:
+    """Return the EXIF of a photo; none where it is too long to be any, since each number in it becomes an object.
+
+    Args:
+        photo: open.
+
+    Raises:
+        Exception: damaged EXIF, in a dozen ways.
+    """
+    stated = photo.info.get("exif")
+    if isinstance(stated, bytes) and len(stated) > _MOST_EXIF_BYTES:
+        return Image.Exif()
+    return photo.getexif()
 
 
 def _opened(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:

@@ -50,6 +50,7 @@ _FULL_SCALE = 65535
 # LibRaw's turns, as bits: rows exchanged with columns, rows from below, columns from the right.
 _TRANSPOSED, _BOTTOM_UP, _RIGHT_TO_LEFT = 4, 2, 1
 _MAX_EXPOSURE_EV = 8.0
+_MOST_OPCODE_BYTES = 1 << 26
 _log = logging.getLogger("telewide")
 
 
@@ -234,13 +235,21 @@ def _read_dng(path: Path, data: bytes) -> _DngFacts:
     with suppress(InputError), open_tiff(BytesIO(data)) as tiff:
         page = raw_page(tiff)
         if page is not None and TAG_DNG_VERSION in tiff.pages.first.tags:
-            lists = {number: page.tags.valueof(tag) for number, tag in _TAG_OPCODES.items()}
+            lists = {number: _stored_list(path, page, number=number) for number in _TAG_OPCODES}
             exposure_ev = _ratio(tiff.pages.first.tags.valueof(_TAG_BASELINE_EXPOSURE, default=0))
             crop = _crop_of(page)
     if not math.isfinite(exposure_ev):
         exposure_ev = 0.0
     opcodes = {number: _opcodes(path, number, lists.get(number)) for number in _TAG_OPCODES}
     return _DngFacts(opcodes, crop, float(np.clip(exposure_ev, -_MAX_EXPOSURE_EV, _MAX_EXPOSURE_EV)))
+
+
+def _stored_list(path: Path, page: tifffile.TiffPage, *, number: int) -> object:
+    tag = page.tags.get(_TAG_OPCODES[number])
+    if tag is not None and tag.valuebytecount > _MOST_OPCODE_BYTES:
+        _log.warning("%s: its OpcodeList%d has %d bytes and is left out", path, number, tag.valuebytecount)
+        return None
+    return None if tag is None else tag.value
 
 
 def stored_hw(tiff: tifffile.TiffFile) -> tuple[int, int] | None:
@@ -272,12 +281,13 @@ def raw_page(tiff: tifffile.TiffFile) -> tifffile.TiffPage | None:
 
 
 def _opcodes(path: Path, number: int, content: object) -> tuple[Opcode, ...]:
-    if not content:
+    if content is None:
         return ()
     try:
-        stored = content if isinstance(content, bytes) else np.asarray(content, dtype=np.uint8).tobytes()
-        return parse_opcodes(stored)
-    except (ValueError, TypeError, OverflowError) as error:
+        if not isinstance(content, bytes):
+            raise ValueError("it holds numbers, bytes were expected")
+        return parse_opcodes(content) if content else ()
+    except ValueError as error:
         _log.warning("%s: its OpcodeList%d cannot be read (%s) and is left out", path, number, error)
         return ()
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.errors import InputError
-from telewide.ranges import MAX_PIXELS
+from telewide.ranges import MAX_PIXELS, MAX_SIDE_PX, MAX_SIDE_RATIO
 
 Samples = NDArray[np.integer]
 """A picture as decoded, (H, W) or (H, W, C) of 8 or 16 bits."""
@@ -32,10 +32,15 @@ def check_size(path: Path, hw: tuple[int, int]) -> None:
         hw: height and width that its header states, px.
 
     Raises:
-        InputError: it has no pixels, or more than `MAX_PIXELS`.
+        InputError: it has no pixels, more than `MAX_PIXELS`, or the shape of no photo.
     """
     if min(hw) < 1:
         raise InputError(f"{path} states a size of {hw[1]} x {hw[0]} px, which is no photo")
+    if max(hw) > min(MAX_SIDE_RATIO * min(hw), MAX_SIDE_PX):
+        raise InputError(
+            f"{path} states a size of {hw[1]} x {hw[0]} px, which no photo has; sides of up to {MAX_SIDE_PX} px are "
+            f"read, one at most {MAX_SIDE_RATIO} times the other"
+        )
     if hw[0] * hw[1] > MAX_PIXELS:
         raise InputError(
             f"{path} states a size of {hw[1]} x {hw[0]} px, too large to be believed; "

@@ -19,6 +19,7 @@ from telewide.capture.images import focal_length_mm, resize_bicubic
 from telewide.capture.lenses import with_checked_lenses
 from telewide.capture.mixed_sizes import check_sizes
 from telewide.capture.pair import (
+    MIN_SIDE_PX,
     Capture,
     CaptureFacts,
     CaptureSet,
@@ -369,10 +370,18 @@ def at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, 
 
     Returns:
         The pair, and its scale: px of it for one px of the given pair.
+
+    Raises:
+        InputError: too little of its height is left.
     """
     height, width = pair.tele.shape[:2]
     if width <= width_px:
         return pair, 1.0
     wh = (width_px, round(height * width_px / width))
+    if wh[1] < MIN_SIDE_PX:
+        raise InputError(
+            f"at the working width of {width_px} px the views are {wh[1]} px high; {MIN_SIDE_PX} or more were expected",
+            hint="crop the photos to a less narrow view, or state a larger working_width_px",
+        )
     tele, wide = (resize_bicubic(view, wh=wh) for view in (pair.tele, pair.wide))
     return RectifiedPair(pair.name, tele, wide), width_px / width

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import io
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +23,7 @@ from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
 from telewide.files import refuse_strange_file, replacing
+from telewide.matching.checkpoint_files import check_archive
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window, check_stated_window
 from telewide.records import checked, parse_json
@@ -164,7 +164,7 @@ def load_state(
     """
     refuse_strange_file(path)
     try:
-        _check_archive(path)
+        check_archive(path)
         content = torch.load(path, map_location=device, weights_only=True)
         state = new_state(network_name, seed=0, device=device)
         for name, module in (("network", state.network), ("average", state.average)):
@@ -190,14 +190,6 @@ def load_state(
             hint="train again, from the start or in another run folder",
         ) from error
     return state
-
-
-def _check_archive(path: Path) -> None:
-    """Refuse an archive that holds more than its own length: packed, or one piece under many names."""
-    with zipfile.ZipFile(path) as archive:
-        n_bytes = sum(entry.file_size for entry in archive.infolist())
-    if n_bytes > path.stat().st_size:
-        raise ValueError(f"it claims to hold {n_bytes} bytes")
 
 
 def _empty_teacher(state: TrainingState, stage: Stage | None) -> nn.Module:
@@ -263,13 +255,13 @@ def _check_place(state: TrainingState, plan: Sequence[Stage]) -> None:
 
 def _count(value: object) -> int:
     if type(value) is not int or value < 0:
-        raise TypeError(f"{value!r} is no number of steps")
+        raise TypeError(f"{type(value).__name__} is no number of steps")
     return value
 
 
 def _figure(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is no figure")
+        raise TypeError(f"{type(value).__name__} is no figure")
     return float(value)
 
 

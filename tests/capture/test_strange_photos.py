@@ -91,6 +91,55 @@ def test_a_size_beyond_belief_is_called_that(tmp_path: Path) -> None:
         read_photo_facts(tmp_path / "a.png")
 
 
+@pytest.mark.parametrize("wh", [(4000, 100), (100, 4000), (70_000, 3000)])
+def test_a_shape_that_no_photo_has_is_refused(tmp_path: Path, wh: tuple[int, int]) -> None:
+    (tmp_path / "a.png").write_bytes(png_of_size(*wh))
+    with pytest.raises(InputError, match=f"{wh[0]} x {wh[1]} px, which no photo has"):
+        read_image(tmp_path / "a.png")
+    Image.new("L", (640, 20)).save(tmp_path / "b.png")  # a panorama is one
+    assert read_image(tmp_path / "b.png").shape == (20, 640, 3)
+
+
+@pytest.mark.parametrize(
+    "stated", [(5, 1, 26), (11, 1, 0x7F800000), (3, 1, 0), (3, 1, 9), (3, 1, 65535), (4, 1, 1 << 31), (2, 2, 0x36)]
+)
+def test_an_orientation_that_is_none_leaves_the_photo_as_it_lies(tmp_path: Path, stated: tuple[int, int, int]) -> None:
+    """A fraction 0 / 0, infinity, numbers of no turn, a text."""
+    kind, count, value = stated
+    exif = b"Exif\0\0" + struct.pack("<2sHIHHHIIIII", b"II", 42, 8, 1, 274, kind, count, value, 0, 0, 0)
+    for suffix in (".jpg", ".png", ".webp"):
+        path = tmp_path / f"a{suffix}"
+        Image.new("RGB", (64, 48)).save(path, exif=exif)
+        assert read_image(path).shape == (48, 64, 3)
+        assert read_photo_facts(path).hw == (48, 64)
+
+
+def test_exif_of_megabytes_is_passed_over(tmp_path: Path) -> None:
+    numbers = struct.pack("<2sHIHHHIII", b"II", 42, 8, 1, 274, 3, 4_000_000, 26, 0) + struct.pack("<H", 6) * 4_000_000
+    chunk = b"eXIf" + numbers
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.png")
+    plain = (tmp_path / "a.png").read_bytes()
+    packed = struct.pack(">I", len(numbers)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    (tmp_path / "a.png").write_bytes(plain[:33] + packed + plain[33:])
+    with bounded(megabytes=100):
+        assert read_photo_facts(tmp_path / "a.png").orientation == 1
+        assert read_image(tmp_path / "a.png").shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "message"),
+    [
+        ("a.png", b"", "is no photo that can be read"),
+        ("a.jpg", b"\xff\xd8\xff", "larger than 512 MiB"),
+    ],
+)
+def test_a_hole_of_2_gib_is_not_read_through(tmp_path: Path, name: str, head: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(head)
+    os.truncate(tmp_path / name, (1 << 31) - 1)
+    with bounded(megabytes=600), pytest.raises(InputError, match=message):
+        read_image(tmp_path / name)
+
+
 @pytest.mark.parametrize("name", ["a.tif", "a.dng"])
 def test_a_small_tiff_of_a_size_beyond_belief_is_refused(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
