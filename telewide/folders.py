@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from telewide.errors import InputError
-from telewide.files import changing, is_there, remove_leftovers, temporary_name
+from telewide.files import changing, is_file, is_there, read_regular, remove_leftovers, temporary_name, write_text
 
 try:
     import fcntl
@@ -44,6 +44,8 @@ def refuse_links(root: Path, path: Path) -> None:
 def append_line(path: Path, line: str) -> None:
     """Append a line to a file of a folder that exists; it is made where it is not there.
 
+    A file that has another name elsewhere, as in a backup of hard links, is copied first: that one stays as it is.
+
     Args:
         path: the file.
         line: without its end.
@@ -58,6 +60,8 @@ def append_line(path: Path, line: str) -> None:
     # A pipe, which has no writer to wait for, is no regular file either.
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     with changing(path):
+        if is_file(path) and path.stat().st_nlink > 1:
+            write_text(path, read_regular(path).decode("utf-8", errors="replace"))
         descriptor = os.open(path, flags, 0o666)
         with os.fdopen(descriptor, "a", encoding="utf-8") as stream:
             stream.write(f"{line}\n")

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from telewide.errors import TelewideError, UsageError
-from telewide.yaml_files import parse_yaml
+from telewide.text import first_few, shortened
+from telewide.yaml_files import MAX_DEPTH, parse_yaml
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-_KNOWN_KEYS_SHOWN = 12
+_FAULTS_SHOWN, _LONGEST_SENTENCE = 5, 300
 # What pydantic calls a key it does not know, and one that is no text.
 _UNKNOWN_KEY = {"extra_forbidden", "invalid_key"}
 
@@ -46,17 +47,20 @@ def parse_options(cls: type[OptionsT], data: object, *, source: str, error: type
         The options, with defaults filled in.
 
     Raises:
-        TelewideError: of the given class. The message names every wrong key by its dotted path: an unknown one with
-            the nearest known one, a wrong value with what was expected.
+        TelewideError: of the given class. The message names the first wrong keys by their dotted paths: an unknown one
+            with the nearest known one, a wrong value with what was expected.
     """
     if not isinstance(data, Mapping):
         raise error(f"{source}: found {_shown(data)}, expected keys and values")
     try:
         return cls.model_validate(dict(data))
     except ValidationError as caught:
-        lines = [_explained(cls, detail) for detail in caught.errors(include_url=False)]
-        hint = f"known keys: {_first_few(sorted(_dotted_keys(cls)))}"
-        is_key_unknown = any(detail["type"] in _UNKNOWN_KEY for detail in caught.errors(include_url=False))
+        details = caught.errors(include_url=False)
+        lines = [_explained(cls, detail) for detail in details[:_FAULTS_SHOWN]]
+        if len(details) > len(lines):
+            lines.append(f"and {len(details) - len(lines)} more")
+        hint = f"known keys: {first_few(sorted(_dotted_keys(cls)))}"
+        is_key_unknown = any(detail["type"] in _UNKNOWN_KEY for detail in details)
         raise error(f"{source}: " + "; ".join(lines), hint=hint if is_key_unknown else None) from None
 
 
@@ -77,8 +81,8 @@ def apply_settings(data: Mapping[str, object], settings: Sequence[str]) -> dict[
     for setting in settings:
         key, equals, text = setting.partition("=")
         path = key.strip().split(".")
-        if not equals or not all(path):
-            raise UsageError(f"setting {setting!r}: expected key=value, such as train.seed=3")
+        if not equals or not all(path) or len(path) > MAX_DEPTH:
+            raise UsageError(f"setting {_shown(setting)}: expected key=value, such as train.seed=3")
         value = parse_yaml(text, source=f"setting {_shown(setting)}: this is no YAML value", error=UsageError)
         _set_in(changed, path, value, setting=setting)
     return changed
@@ -90,13 +94,15 @@ def _set_in(data: dict[str, object], path: Sequence[str], value: object, *, sett
         if inner is None:
             inner = data[key] = {}
         if not isinstance(inner, dict):
-            raise UsageError(f"setting {setting!r}: {'.'.join(path[:depth])} is {_shown(inner)}, it holds no keys")
+            raise UsageError(
+                f"setting {_shown(setting)}: {'.'.join(path[:depth])} is {_shown(inner)}, it holds no keys"
+            )
         data = inner
     data[path[-1]] = value
 
 
 def _explained(cls: type[Options], detail: ErrorDetails) -> str:
-    path = ".".join(str(part) for part in detail["loc"]).replace("\n", "\\n")
+    path = shortened(".".join(str(part) for part in detail["loc"]))
     if detail["type"] in _UNKNOWN_KEY:
         nearest = _nearest_key(cls, path)
         return f"unknown key {path}" + (f", did you mean {nearest}?" if nearest else "")
@@ -105,7 +111,7 @@ def _explained(cls: type[Options], detail: ErrorDetails) -> str:
     # pydantic's sentence reads "Input should be a valid integer, ..."; a check of our own "Value error, ...".
     expected = detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
     place = f"{path} is" if path else "found"
-    return f"{place} {_shown(detail['input'])}, expected {expected}"
+    return f"{place} {_shown(detail['input'])}, expected {shortened(expected, most=_LONGEST_SENTENCE)}"
 
 
 def _nearest_key(cls: type[Options], path: str) -> str | None:
@@ -135,11 +141,5 @@ def _options_inside(annotation: object) -> Iterator[type[Options]]:
         yield from _options_inside(argument)
 
 
-def _first_few(keys: Sequence[str]) -> str:
-    shown = ", ".join(keys[:_KNOWN_KEYS_SHOWN])
-    return f"{shown} and {len(keys) - _KNOWN_KEYS_SHOWN} more" if len(keys) > _KNOWN_KEYS_SHOWN else shown
-
-
 def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return shortened(repr(value))

@@ -6,11 +6,12 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 # C0 but for tab and line feed, DEL, C1, line and paragraph separators, marks of direction, halves of a surrogate pair.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+_LONGEST_WORD = 100
 _OPTION = re.compile(r"`([a-z][a-z0-9]*(?:_[a-z0-9]+)*)`")
 
 
@@ -22,6 +23,28 @@ def counted(number: int, noun: str) -> str:
         noun: of one of them; its plural is made with an s.
     """
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def first_few(words: Sequence[str], *, most: int = 12) -> str:
+    """List some words, and say how many more there are; what other people wrote may be as long as a book.
+
+    Args:
+        words: names or keys.
+        most: how many are listed.
+    """
+    shown = ", ".join(shortened(word, most=_LONGEST_WORD) for word in words[:most])
+    return f"{shown} and {len(words) - most} more" if len(words) > most else shown
+
+
+def shortened(text: str, *, most: int = 60) -> str:
+    r"""Cut a text that somebody else wrote, and show its line breaks as ``\n``: a message stays one line.
+
+    Args:
+        text: of any length.
+        most: letters that are shown.
+    """
+    line = text.replace("\n", "\\n")
+    return line if len(line) <= most else line[: most - 3] + "..."
 
 
 def printable(text: str) -> str:

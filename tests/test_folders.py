@@ -45,6 +45,17 @@ def test_a_line_is_appended_to_a_file_and_to_no_link(tmp_path: Path) -> None:
         append_line(tmp_path / "none" / "log", "one")
 
 
+def test_a_line_is_not_appended_to_the_same_file_in_a_backup(tmp_path: Path) -> None:
+    """``cp -al run backup`` gives every file a second name instead of a copy."""
+    append_line(tmp_path / "log", "one")
+    (tmp_path / "backup").mkdir()
+    os.link(tmp_path / "log", tmp_path / "backup" / "log")
+    append_line(tmp_path / "log", "two")
+    append_line(tmp_path / "log", "three")
+    assert (tmp_path / "log").read_text() == "one\ntwo\nthree\n"
+    assert (tmp_path / "backup" / "log").read_text() == "one\n"
+
+
 def test_a_file_replaces_a_link_and_leaves_its_target(tmp_path: Path) -> None:
     (tmp_path / "target").write_text("kept")
     (tmp_path / "link").symlink_to(tmp_path / "target")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 import pydantic
 import pytest
 
 from telewide.errors import InputError, UsageError
 from telewide.options import Options, apply_settings, parse_options
+from telewide.recipe import Recipe as WholeRecipe
 
 
 class Train(Options):
@@ -94,3 +97,21 @@ def test_settings_overlay() -> None:
 def test_settings_that_cannot_be_applied(setting: str) -> None:
     with pytest.raises(UsageError, match="setting"):
         apply_settings({"name": "a"}, [setting])
+
+
+def test_of_thousands_of_wrong_keys_the_first_are_named() -> None:
+    """Each is compared with every known one."""
+    data = {f"key{number}\nerror: all is lost {'x' * 1000}": 1 for number in range(10_000)}
+    begun_s = time.process_time()
+    with pytest.raises(InputError) as caught:
+        parse_options(WholeRecipe, data, source="recipe.yaml", error=InputError)
+    assert time.process_time() - begun_s < 5
+    assert "and 9995 more" in caught.value.message
+    assert len(caught.value.message) < 1000
+    assert "\n" not in caught.value.message
+
+
+def test_a_setting_of_a_thousand_levels_is_refused() -> None:
+    with pytest.raises(UsageError, match="expected key=value") as caught:
+        apply_settings({}, [".".join("a" * 5000) + "=1"])
+    assert len(caught.value.message) < 200

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telewide.text import Invocation, command_line, counted, json_text, printable
+from telewide.text import Invocation, command_line, counted, first_few, json_text, printable, shortened
 
 
 def test_one_is_singular_and_no_other_number_is() -> None:
@@ -21,6 +21,16 @@ def test_one_is_singular_and_no_other_number_is() -> None:
         "11 captures",
     ]
     assert counted(1, "new capture") == "1 new capture"
+
+
+def test_a_list_of_what_others_wrote_is_short_and_of_one_line() -> None:
+    assert first_few(["a", "b"]) == "a, b"
+    assert first_few([]) == ""
+    assert first_few([str(number) for number in range(20)], most=3) == "0, 1, 2 and 17 more"
+    assert len(first_few(["x" * 10**6] * 10**4)) < 1300
+    assert shortened("one\ntwo") == "one\\ntwo"
+    assert shortened("x" * 61) == "x" * 57 + "..."
+    assert shortened("x" * 60) == "x" * 60
 
 
 @pytest.mark.parametrize("missing", [math.nan, math.inf, -math.inf, np.float64("nan")])

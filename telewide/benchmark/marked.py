@@ -30,6 +30,7 @@ from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
+from telewide.text import first_few
 
 MEAN = "mean"
 _MEASURES = tuple(field.name for field in fields(MarkScore))
@@ -76,7 +77,7 @@ def benchmark_marks(
     if not names & marks.captures.keys():
         raise InputError(
             f"none of the captures in {captures_root} is marked",
-            hint=f"the file holds marks of {', '.join(sorted(marks.captures)) or 'nothing'}",
+            hint=f"the file holds marks of {first_few(sorted(marks.captures)) or 'nothing'}",
         )
     trained = [contender.window for contender in contenders if contender.window is not None]
     window = joined_window([prepared.window, *trained])

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, tzinfo
 
 import numpy as np
+from numpy.typing import NDArray
 
 from telewide.geometry.arrays import FloatArray
 
@@ -68,17 +69,26 @@ def mutual_nearest(first_s: FloatArray, second_s: FloatArray, *, max_s: float) -
         Indices into both, each at most once, by the first.
     """
     to_second_s, to_first_s = nearest_s(first_s, second_s), nearest_s(second_s, first_s)
-    edges = []
-    for i, second in enumerate(first_s):
-        apart_s = np.abs(second_s - second)
-        is_near = apart_s <= np.minimum(max_s, to_second_s[i]) + SAME_S
-        edges += [(i, int(j)) for j in np.flatnonzero(is_near & (apart_s <= to_first_s + SAME_S))]
-    edges.sort(key=lambda edge: (min(first_s[edge[0]], second_s[edge[1]]), edge))
-    pairs: list[tuple[int, int]] = []
-    taken: tuple[set[int], set[int]] = (set(), set())
-    for i, j in edges:
-        if i not in taken[0] and j not in taken[1]:
-            pairs.append((i, j))
-            taken[0].add(i)
-            taken[1].add(j)
-    return sorted(pairs)
+
+    def candidates(i: int, *, is_before: bool) -> NDArray[np.intp]:
+        """Indices of those that i may go with, taken before it, or at its moment and after."""
+        apart_s = np.abs(second_s - first_s[i])
+        is_near = (apart_s <= np.minimum(max_s, to_second_s[i]) + SAME_S) & (apart_s <= to_first_s + SAME_S)
+        return np.flatnonzero(is_near & ((second_s < first_s[i]) == is_before))
+
+    # Not each with each: a roll whose clock stood still has as many equal intervals as pairs of photos.
+    intervals = []
+    for i in range(len(first_s)):
+        for is_before in (True, False):
+            found = candidates(i, is_before=is_before)
+            if len(found):
+                intervals.append((second_s[found].min() if is_before else first_s[i], i, is_before))
+    pairs: dict[int, int] = {}
+    is_free = np.ones(len(second_s), dtype=np.bool_)
+    for _, i, is_before in sorted(intervals):
+        found = candidates(i, is_before=is_before)
+        free = found[is_free[found]]
+        if i not in pairs and len(free):
+            pairs[i] = int(free[0])
+            is_free[free[0]] = False
+    return sorted(pairs.items())

@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.formats import read_bytes
+from telewide.capture.sizes import MAX_WHOLE_PIXELS
 from telewide.errors import InputError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
+
+_MOST_HEADER_BYTES = 256
 
 
 def read_pfm(path: Path) -> FloatImage:
@@ -25,24 +28,30 @@ def read_pfm(path: Path) -> FloatImage:
 
     Raises:
         UsageError: there is no such file.
-        InputError: not a PFM, three channels, or cut off.
+        InputError: not a PFM, three channels, cut off, or of more pixels than photos are read with.
     """
-    data = read_bytes(path)
-    kind, *header = data.split(b"\n", 3)
+    most_bytes = MAX_WHOLE_PIXELS * 4 + _MOST_HEADER_BYTES
+    data = read_bytes(path, at_most=most_bytes + 1)
+    if len(data) > most_bytes:
+        raise InputError(f"{path} is larger than the disparities of any photo that is read")
+    kind, *header = data[:_MOST_HEADER_BYTES].split(b"\n", 3)
     if kind.strip() != b"Pf":
         found = "a PFM with three channels" if kind.strip() == b"PF" else "no PFM"
         raise InputError(f"{path} is {found}; a one-channel PFM (it begins with Pf) was expected")
     try:
-        size, scale_text, body = header
+        size, scale_text, _ = header
         width, height = (int(number) for number in size.split())
         scale = float(scale_text)
     except ValueError as error:
         raise InputError(f"{path} has a broken PFM header: width and height, then the scale were expected") from error
+    first = sum(len(line) + 1 for line in (kind, size, scale_text))
     expected = width * height * 4
-    if width < 1 or height < 1 or len(body) != expected:
-        raise InputError(f"{path} holds {len(body)} bytes of values; {width} x {height} floats need {expected}")
-    values = np.frombuffer(body, dtype="<f4" if scale < 0 else ">f4").reshape(height, width)[::-1]
-    return np.where(np.isfinite(values), values, np.float32(np.nan)).astype(np.float32)
+    if width < 1 or height < 1 or len(data) - first != expected:
+        raise InputError(f"{path} holds {len(data) - first} bytes of values; {width} x {height} floats need {expected}")
+    stored = np.frombuffer(data, dtype="<f4" if scale < 0 else ">f4", offset=first).reshape(height, width)
+    values: FloatImage = stored[::-1].astype(np.float32)
+    values[~np.isfinite(values)] = np.nan
+    return values
 
 
 def write_pfm(path: Path, disparity: FloatImage) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from telewide.capture.images import write_image, write_png16
 from telewide.capture.pfm import write_pfm
+from telewide.capture.sizes import MAX_WHOLE_PIXELS
 from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult
 from telewide.errors import InputError
@@ -30,6 +31,9 @@ NPZ_FORMAT = 1
 NPZ_NAME = "depth.npz"
 PNG_STEPS_PER_PX = 256
 _PNG_LARGEST = 65535
+# Maps that are read again, as they are written, and what those of the largest photo take with their headers.
+_KINDS = {"disparity": np.dtype(np.float32), "confidence": np.dtype(np.float32), "valid": np.dtype(np.bool_)}
+_MOST_BYTES = MAX_WHOLE_PIXELS * sum(kind.itemsize for kind in _KINDS.values()) + 4096
 
 
 @dataclass(frozen=True)
@@ -84,11 +88,13 @@ def read_disparity(path: Path) -> DisparityMap:
         UsageError: there is no such file.
         InputError: it is damaged, or of another kind.
     """
-    disparity_px, confidence, valid = read_npz(path, ("disparity", "confidence", "valid"))
-    maps = (disparity_px.astype(np.float32), confidence.astype(np.float32), valid.astype(np.bool_))
-    if disparity_px.ndim != 2 or any(one.shape != disparity_px.shape for one in maps):
+    maps = read_npz(path, tuple(_KINDS), most_bytes=_MOST_BYTES)
+    disparity_px, confidence, valid = maps
+    if [one.dtype for one in maps] != [*_KINDS.values()]:
+        raise InputError(f"{path} is damaged: its maps are {', '.join(str(one.dtype) for one in maps)}")
+    if disparity_px.ndim != 2 or any(one.shape != disparity_px.shape for one in maps) or not disparity_px.size:
         raise InputError(f"{path} is damaged: its maps are not of one size")
-    return DisparityMap(*maps)
+    return DisparityMap(disparity_px.astype(np.float32), confidence.astype(np.float32), valid.astype(np.bool_))
 
 
 def png_refusal(result: DepthResult) -> str | None:

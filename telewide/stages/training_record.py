@@ -16,6 +16,7 @@ from telewide.records import Name, Record, read_record, write_record
 from telewide.stages.pair_record import RECORD_NAME
 from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
+from telewide.text import first_few
 
 FORMAT = 1
 FEWEST_TO_HOLD_OUT = 5
@@ -104,12 +105,12 @@ def agreed_record(kept: TrainingRecord | None, prepared: PreparedSet, recipe: Re
     held_out, judged = (tuple(name for name in of_kept if name in names) for of_kept in (kept.held_out, kept.judged))
     if not judged:
         raise UsageError(
-            f"the captures that this training is judged by are no longer there: {', '.join(kept.judged)}",
+            f"the captures that this training is judged by are no longer there: {first_few(kept.judged)}",
             hint=f"put them back, or start over: {anew}",
         )
     if len(held_out) == len(names):
         raise UsageError(
-            f"all captures that are left are held out to judge by, and none to train on: {', '.join(names)}",
+            f"all captures that are left are held out to judge by, and none to train on: {first_few(names)}",
             hint=f"add captures, or start over: {anew}",
         )
     return TrainingRecord(
@@ -136,7 +137,7 @@ def refuse_another_recipe(kept: TrainingRecord, resolved: Mapping[str, object], 
     changed = differing_keys(kept.recipe, resolved)
     if changed:
         raise UsageError(
-            f"the training in this run folder was begun with another recipe; these keys differ: {', '.join(changed)}",
+            f"the training in this run folder was begun with another recipe; these keys differ: {first_few(changed)}",
             hint=f"continue with the same recipe, name another run folder with --out, or start over: {anew}",
         )
 

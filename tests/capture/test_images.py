@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import os
 import struct
+import tracemalloc
 import zlib
 from io import BytesIO
 from pathlib import Path
@@ -445,6 +447,18 @@ def test_a_broken_pfm(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "a.pfm").write_bytes(content)
     with pytest.raises(InputError, match=message):
         read_pfm(tmp_path / "a.pfm")
+
+
+def test_a_pfm_of_more_pixels_than_any_photo_is_read_with_is_refused(tmp_path: Path) -> None:
+    """A hole: it takes no space, and would be read four times over."""
+    path = tmp_path / "a.pfm"
+    path.write_bytes(b"Pf\n22000 22000\n-1.0\n")
+    os.truncate(path, 20 + 4 * 22000**2)
+    tracemalloc.start()
+    with pytest.raises(InputError, match="larger than the disparities of any photo"):
+        read_pfm(path)
+    assert tracemalloc.get_traced_memory()[1] < 300e6
+    tracemalloc.stop()
 
 
 # --- resizing

@@ -12,8 +12,9 @@ from rigs import phone
 
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.pfm import read_pfm
-from telewide.depth.export import png_from_disparity, write_depth
+from telewide.depth.export import png_from_disparity, read_disparity, write_depth
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
+from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
 
@@ -133,3 +134,28 @@ def test_nothing_measured_is_written_and_said(tmp_path: Path) -> None:
     written = write_depth(tmp_path, result_of(unknown), image=np.zeros((*HW, 3), np.float32))
     assert "nothing was measured" in written.notes[0]
     assert np.isnan(read_pfm(tmp_path / "disparity.pfm")).all()
+
+
+def test_what_is_read_back_is_what_was_written(tmp_path: Path, disparity_px: FloatMap) -> None:
+    written = result_of(disparity_px).disparity
+    write_depth(tmp_path, result_of(disparity_px))
+    read = read_disparity(tmp_path / "depth.npz")
+    for name in ("disparity_px", "confidence", "valid"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.float16, np.float64, np.complex64, "S4", np.dtype(">f4")])
+def test_maps_of_another_kind_are_refused_as_they_lie(tmp_path: Path, kind: object) -> None:
+    """A gigabyte of single bytes would become four of real numbers."""
+    maps = {"disparity": np.zeros(HW, kind), "confidence": np.zeros(HW, np.float32), "valid": np.zeros(HW, bool)}
+    np.savez_compressed(tmp_path / "depth.npz", **maps)
+    with pytest.raises(InputError, match="is damaged: its maps are"):
+        read_disparity(tmp_path / "depth.npz")
+
+
+@pytest.mark.parametrize("hw", [(0, 5), (5,), (2, 2, 2)])
+def test_maps_that_are_no_maps_are_refused(tmp_path: Path, hw: tuple[int, ...]) -> None:
+    maps = {"disparity": np.zeros(hw, np.float32), "confidence": np.zeros(hw, np.float32), "valid": np.zeros(hw, bool)}
+    np.savez_compressed(tmp_path / "depth.npz", **maps)
+    with pytest.raises(InputError, match="not of one size"):
+        read_disparity(tmp_path / "depth.npz")
