@@ -32,7 +32,7 @@ from telewide.files import read_regular, write_text
 from telewide.text import json_text
 from telewide.yaml_files import MAX_DEPTH
 
-MAX_JSON_BYTES = 1 << 24
+MAX_JSON_BYTES, MAX_JSON_VALUES = 1 << 24, 1 << 20
 _LARGEST_WHOLE = 1 << 63
 _TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
 
@@ -139,6 +139,9 @@ def parse_json(text: str | bytes) -> JsonValue:
     Raises:
         ValueError: no JSON, a number that does not exist or is too large, or nested too deeply.
     """
+    data = text.encode(errors="surrogatepass") if isinstance(text, str) else text
+    if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MAX_JSON_VALUES:
+        raise ValueError(f"it holds more than {MAX_JSON_VALUES} values")
     try:
         content: JsonValue = json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_finite)
     except RecursionError:

@@ -9,7 +9,7 @@ from pathlib import Path
 from telewide.capture.exif import PhotoFacts
 from telewide.capture.formats import read_photo
 from telewide.capture.jpeg import has_too_many_scans
-from telewide.capture.pillow_photos import open_photo
+from telewide.capture.pillow_photos import load_photo, open_photo
 from telewide.errors import InputError
 
 DAMAGED = "cannot be read: the file is cut off or damaged; copy it again from the phone"
@@ -48,7 +48,7 @@ def _is_whole_jpeg(path: Path) -> bool:
                 return False
             with open_photo(path, BytesIO(data), "JPEG") as photo:
                 photo.draft("L", _COARSE_PX)
-                photo.load()
+                load_photo(photo)
     except (OSError, SyntaxError, ValueError):
         return False
     return True

@@ -24,7 +24,7 @@ from telewide.capture.deep_images import decode_deep_png, decode_deep_tiff
 from telewide.capture.exif import believable_orientation, read_photo_facts
 from telewide.capture.formats import PhotoFormat, read_photo
 from telewide.capture.jpeg import has_too_many_scans
-from telewide.capture.pillow_photos import exif_of, open_photo
+from telewide.capture.pillow_photos import exif_of, load_photo, open_photo
 from telewide.capture.raw import develop, show_as_srgb
 from telewide.capture.sizes import Samples, at_read_size, is_read_halved
 from telewide.errors import InputError, TelewideError, UsageError
@@ -173,7 +173,7 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
         hw = (photo.height, photo.width)
         if is_read_halved(hw) and photo.format in {"JPEG", "MPO"}:
             photo.draft(photo.mode, (hw[1] // 2, hw[0] // 2))  # decodes half as many of each block's waves
-        photo.load()  # also finds cut-off files, which OpenCV lets pass
+        load_photo(photo)  # also finds cut-off files, which OpenCV lets pass
         # Pillow turns a TIFF itself when it loads it, and then forgets its tag.
         orientation = believable_orientation(exif_of(photo).get(_TAG_ORIENTATION))
         # Byte 24 of a PNG is the bit depth; Pillow would cut 16-bit colour down to 8.

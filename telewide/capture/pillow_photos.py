@@ -6,6 +6,8 @@ HEIC turns itself upright when it is decoded, and its EXIF then says upright.
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import BinaryIO
@@ -15,6 +17,7 @@ from PIL import Image, features
 from telewide.capture.formats import PhotoFormat
 from telewide.capture.sizes import check_size
 from telewide.errors import InputError, MissingPartError, extra_hint
+from telewide.ranges import MAX_PIXELS
 
 _SDR_SRGB_PRIMARIES = {0, 1, 2}
 _MOST_EXIF_BYTES = 1 << 22
@@ -55,6 +58,29 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
     return _opened(path, stream, kind)
 
 
+def load_photo(photo: Image.Image) -> None:
+    """Decode the pixels of a photo.
+
+    Args:
+        photo: as :func:`open_photo` returned it.
+
+    Raises:
+        Exception: damaged, in a dozen ways; a tile of a TIFF is larger than any photo.
+    """
+    with _limit_of_pillow(MAX_PIXELS // 2):  # it warns of more, and refuses twice as many
+        photo.load()
+
+
+@contextmanager
+def _limit_of_pillow(pixels: int | None) -> Iterator[None]:
+    """Let Pillow have another limit of sizes than its own, which lies below what phones make."""
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, pixels
+    try:
+        yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
 def exif_of(photo: Image.Image) -> Image.Exif:
     """Return the EXIF of a photo; none where it is too long to be any, since each number in it becomes an object.
 
@@ -71,12 +97,9 @@ def exif_of(photo: Image.Image) -> Image.Exif:
 
 
 def _opened(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
-    """Open a photo whose size can be believed; Pillow's own limit lies below what phones make."""
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
-    try:
+    """Open a photo whose size can be believed."""
+    with _limit_of_pillow(None):
         photo = Image.open(stream, formats=(kind,))
-    finally:
-        Image.MAX_IMAGE_PIXELS = limit
     check_size(path, (photo.height, photo.width))
     return photo
 

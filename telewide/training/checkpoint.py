@@ -22,7 +22,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
-from telewide.files import refuse_strange_file, replacing
+from telewide.files import open_regular, refuse_strange_file, replacing
 from telewide.matching.checkpoint_files import check_archive
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.matching.window import Window, check_stated_window
@@ -33,6 +33,8 @@ from telewide.training.stages import Stage
 
 FORMAT = "1"
 STATE_NAME = "state.pt"
+_MOST_HEADER_BYTES = 1 << 22
+"""Of a weights file: names and shapes of the largest network take a twentieth, a recipe a thousandth."""
 
 
 @dataclass
@@ -336,7 +338,10 @@ def read_card(path: Path) -> WeightsCard:
         UsageError: there is no such file.
         InputError: the file is damaged, or holds something else.
     """
-    refuse_strange_file(path)
+    with open_regular(path) as stream:
+        header_bytes = int.from_bytes(stream.read(8), "little")
+    if header_bytes > _MOST_HEADER_BYTES:  # of a file of another kind it means nothing, and is as large
+        raise _no_weights(path)
     try:
         with safe_open(path, framework="pt") as opened:
             metadata = opened.metadata() or {}
