@@ -29,6 +29,7 @@ LAYERS = {
     "yaml_files": 0,
     "records": 0,
     "ranges": 0,
+    "archives": 0,
     "assets": 0,
     "cores": 0,
     "files": 0,

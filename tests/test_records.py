@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,6 +14,7 @@ import pytest
 
 from telewide.errors import InputError
 from telewide.records import (
+    MAX_JSON_VALUES,
     Figure,
     Name,
     Points,
@@ -133,6 +135,17 @@ def test_json_that_cannot_be_used_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"x\.json cannot be read as JSON"):
         read_json(path)
+
+
+def test_json_of_more_values_than_any_record_is_not_built() -> None:
+    for one in ("[]", "0", '"x"'):
+        for text in (f"[{f'{one},' * MAX_JSON_VALUES}{one}]", f"[{f'{one},' * MAX_JSON_VALUES}{one}]".encode()):
+            tracemalloc.start()
+            with pytest.raises(ValueError, match="more than 1048576 values"):
+                parse_json(text)
+            assert tracemalloc.get_traced_memory()[1] < 20e6
+            tracemalloc.stop()
+    assert len(parse_json(f"[{'0,' * 1000}0]")) == 1001
 
 
 def test_json_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:

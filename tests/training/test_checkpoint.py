@@ -250,6 +250,20 @@ def test_a_window_no_pair_needs_is_refused(tmp_path: Path, window: str) -> None:
         read_card(path)
 
 
+@pytest.mark.parametrize("part", ["recipe", "window", "names"])
+def test_weights_whose_header_is_longer_than_any_networks_are_not_read(tmp_path: Path, part: str) -> None:
+    """Each value in it becomes an object, and so does each tensor that it names."""
+    weights = {f"tensor{number}": torch.zeros(0) for number in range(80_000 if part == "names" else 1)}
+    metadata = {"network": "lite", "window": "[0, 64]", "recipe": "{}", "training": "{}"}
+    if part != "names":
+        metadata[part] = "[" + "[]," * 1_500_000 + "0]"
+    save_file(weights, tmp_path / "w.safetensors", metadata=metadata)
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match="is no weights file of telewide"):
+        load_weights(tmp_path / "w.safetensors", device=CPU)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 50_000
+
+
 def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
     network = build_network("lite")
     with torch.no_grad():
