@@ -119,6 +119,14 @@ _SETS = (
     _kitti(2012, kitti.KITTI_2012),
     _kitti(2015, kitti.KITTI_2015),
     DataSet(
+        name="kitti_one_frame",
+        source="a frame of KITTI 2015 as examples of stereo matching carry it",
+        licence=_KITTI_TERMS,
+        layout="reference.png, target.png, ground-truth.png in whole px",
+        scenes=kitti.whole_px_frame,
+        read=lambda root, _frame, _views: kitti.read_whole_px_frame(root),
+    ),
+    DataSet(
         name="hci",
         source="https://lightfield-analysis.uni-konstanz.de",
         licence="CC BY-NC-SA 4.0",

@@ -20,6 +20,8 @@ from telewide.geometry.arrays import FloatMap
 
 _SCALE = 256
 _FIRST_OF_TWO_MOMENTS = "*_10.png"
+WHOLE_PX_FRAME = "frame"
+_WHOLE_PX_FILES = ("reference.png", "target.png", "ground-truth.png")
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,30 @@ def read_kitti(root: Path, frame: str, *, layout: KittiLayout) -> StereoTruth:
     occluded = np.isnan(_disparity(visible_path)) & ~np.isnan(disparity_px) if is_there(visible_path) else None
     left, right = (read_view(training / folder / name) for folder in views)
     return checked_truth(training / layout.all_known / name, StereoTruth(left, right, disparity_px, occluded))
+
+
+def whole_px_frame(root: Path) -> tuple[str, ...]:
+    """List the one frame that a folder holds as some examples carry it: reference, target, ground-truth.
+
+    Args:
+        root: the folder.
+    """
+    return (WHOLE_PX_FRAME,) if all((root / name).is_file() for name in _WHOLE_PX_FILES) else ()
+
+
+def read_whole_px_frame(root: Path) -> StereoTruth:
+    """Read one frame whose disparities are whole px in 8 bits, 0 for unknown.
+
+    Args:
+        root: holds ``reference.png``, ``target.png`` and ``ground-truth.png``.
+
+    Raises:
+        UsageError: a file does not exist.
+        InputError: a file cannot be read, they differ in size, or the disparities have no 8 bits.
+    """
+    left, right = (read_view(root / name) for name in _WHOLE_PX_FILES[:2])
+    disparity_px = read_scaled_disparity(root / _WHOLE_PX_FILES[2], scale=1)
+    return checked_truth(root, StereoTruth(left, right, disparity_px))
 
 
 def _training(root: Path) -> Path:

@@ -1,6 +1,7 @@
 """The cells of a table: one system in one column, computed once and kept by the fingerprint of all it depends on.
 
-``OUT/cells/<fingerprint>/cell.json`` holds what was asked and the scores of each scene. Several processes, on one
+``OUT/cells/<fingerprint>/cell.json`` holds what was asked and the scores of each scene, ``maps/`` what was found, for
+pictures. Several processes, on one
 machine or on several with a folder in common, share the cells: each takes those that nobody is at.
 """
 
@@ -22,6 +23,7 @@ from telewide.benchmark.boundaries import boundary_errors, boundary_f1
 from telewide.benchmark.damages import Damages, find_damage
 from telewide.benchmark.datasets.protocols import Scene, find_protocol, search_window, select_scenes
 from telewide.benchmark.datasets.truth import StereoTruth
+from telewide.benchmark.paper.pictures import keep_map
 from telewide.benchmark.paper.system import (
     Budget,
     Place,
@@ -143,6 +145,11 @@ class Cells:
             }
         return key
 
+    def folder(self, plan: CellPlan) -> Path:
+        """Folder of a cell."""
+        digest = hashlib.sha256(json.dumps(self.key(plan), sort_keys=True).encode()).hexdigest()[:24]
+        return self.out / "cells" / digest
+
     def _rows(self, plan: CellPlan, *, waits: bool) -> list[Row]:
         try:
             return self._kept_or_computed(plan, waits=waits)
@@ -151,19 +158,19 @@ class Cells:
             return []
 
     def _kept_or_computed(self, plan: CellPlan, *, waits: bool) -> list[Row]:
-        key = self.key(plan)
-        digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]
-        folder = self.out / "cells" / digest
+        key, folder = self.key(plan), self.folder(plan)
         if (rows := _kept(folder / CELL_FILE, key)) is not None:
             return rows
         folder.mkdir(parents=True, exist_ok=True)
         with alone_in(folder, waiting=self.tell if waits else _give_way):
             if (rows := _kept(folder / CELL_FILE, key)) is not None:  # made by whoever was waited for
                 return rows
-            write_record(folder / CELL_FILE, checked(as_read({"key": key, "rows": self._computed(plan)}), CellRecord))
+            write_record(
+                folder / CELL_FILE, checked(as_read({"key": key, "rows": self._computed(plan, folder)}), CellRecord)
+            )
             return [*read_record(folder / CELL_FILE, CellRecord).rows]  # as whoever reads them later gets them
 
-    def _computed(self, plan: CellPlan) -> list[Row]:
+    def _computed(self, plan: CellPlan, folder: Path) -> list[Row]:
         self.tell(f"{plan.system.title}: {plan.column.heading}")
         prepared = plan.system.prepare(plan.task, Place(self.out, self.tell))
         rows: list[Row] = []
@@ -180,7 +187,9 @@ class Cells:
                 "training_steps": prepared.steps,
             }
             for weights, match in prepared.matchers.items():
-                judged = _judged(match(truth.left, truth.right, window), truth)
+                found_px = match(truth.left, truth.right, window)
+                keep_map(folder, scene.name, weights, disparity_px=found_px)
+                judged = _judged(found_px, truth)
                 rows += [{**of_scene, "weights": weights, **row} for row in judged]
         return rows
 

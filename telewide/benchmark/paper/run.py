@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from telewide.benchmark.damages import load_damages
-from telewide.benchmark.paper.cells import Cells, Row, Wanted, plan_column
-from telewide.benchmark.paper.system import BEST, Budget, System, Tell
+from telewide.benchmark.paper.cells import CellPlan, Cells, Row, Wanted, plan_column
+from telewide.benchmark.paper.pictures import Found, Sheet, kept_map, write_scene_sheet
+from telewide.benchmark.paper.system import BEST, LAST, Budget, Prepared, System, Tell
 from telewide.benchmark.paper.systems import SYSTEMS, find_systems
-from telewide.benchmark.paper.tables import Column, Published, Table
-from telewide.benchmark.report import BenchmarkReport, markdown_table, number, write_report_json
+from telewide.benchmark.paper.tables import Table
+from telewide.benchmark.report import BenchmarkReport
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
-from telewide.files import write_text
+from telewide.training.processes import this_process
 
 DEFAULT_BUDGET_MIN = 8.0
 
@@ -49,11 +46,21 @@ class PaperOptions:
     restorer_weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
 
-_Means = tuple[float, float, float]
+@dataclass(frozen=True)
+class PaperResult:
+    """Scores and pictures of a table.
+
+    Attributes:
+        report: a row for each system, column, seed, scene, weights and region; notes say what is left out.
+        sheets: a picture of each scene in each column.
+    """
+
+    report: BenchmarkReport
+    sheets: tuple[Sheet, ...]
 
 
-def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> BenchmarkReport:
-    """Compute the cells of a table that are not kept yet.
+def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> PaperResult:
+    """Compute the cells of a table that are not kept yet; of several processes each takes those that nobody is at.
 
     Args:
         table: which one.
@@ -61,11 +68,41 @@ def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> Bench
         tell: hears how far it is.
 
     Returns:
-        A row for each system, column, seed, scene, weights and region; notes say what is left out.
+        Scores and pictures; of several processes those that do not write have no pictures.
 
     Raises:
         UsageError: a system or damage that does not exist, or no data folder.
         InputError: none of the table's data sets is there, or no cell can be computed.
+    """
+    plans, notes = planned_cells(table, options)
+    processes = this_process()
+    first = len(plans) * processes.rank // processes.world  # so that they do not ask for the same cells at once
+    rows: list[Row] = []
+    cells = Cells(options.out, tell)
+    for plan, scored in cells.rows([*plans[first:], *plans[:first]]):
+        asked = {"system": plan.system.name, "column": plan.column.heading, "seed": plan.task.seed}
+        rows += [{**asked, **row} for row in scored]
+    if not rows:
+        raise InputError(f"no cell of the table {table.name} could be computed", hint="; ".join(cells.problems))
+    facts = {"table": table.name, "budget": str(options.budget), "seeds": options.seeds, "device": options.device}
+    report = BenchmarkReport(f"paper {table.name}", facts, tuple(rows), (*notes, *cells.problems))
+    folder = options.out / table.name
+    return PaperResult(report, tuple(_drawn(plans, cells, rows, folder=folder)) if processes.is_writer else ())
+
+
+def planned_cells(table: Table, options: PaperOptions) -> tuple[list[CellPlan], list[str]]:
+    """Plan the cells of a table.
+
+    Args:
+        table: which one.
+        options: with what.
+
+    Returns:
+        The plans; and notes on what is left out.
+
+    Raises:
+        UsageError: a system or damage that does not exist, or no data folder.
+        InputError: none of the table's data sets is there.
     """
     systems, notes = _systems(table, options.systems)
     known = load_damages()
@@ -74,96 +111,47 @@ def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> Bench
         raise UsageError(f"{table.name} has none of the damages {', '.join(options.damages)}")
     plans = []
     for seed in range(options.seeds):
+        wanted = Wanted(
+            options.data_root,
+            known,
+            seed,
+            budget=options.budget,
+            device=options.device,
+            restorer_weights=options.restorer_weights,
+        )
         for column in columns:
-            wanted = Wanted(
-                options.data_root,
-                known,
-                seed,
-                budget=options.budget,
-                device=options.device,
-                restorer_weights=options.restorer_weights,
-            )
             of_column, said = plan_column(column, systems, wanted)
             plans += of_column
             notes += [note for note in said if note not in notes]
     if not plans:
         raise InputError(f"no data set of the table {table.name} is in {options.data_root}", hint="; ".join(notes))
-    rows: list[Row] = []
-    cells = Cells(options.out, tell)
-    for plan, scored in cells.rows(plans):
-        asked = {"system": plan.system.name, "column": plan.column.heading, "seed": plan.task.seed}
-        rows += [{**asked, **row} for row in scored]
-    if not rows:
-        raise InputError(f"no cell of the table {table.name} could be computed", hint="; ".join(cells.problems))
-    notes += cells.problems
-    facts = {"table": table.name, "budget": str(options.budget), "seeds": options.seeds, "device": options.device}
-    return BenchmarkReport(f"paper {table.name}", facts, tuple(rows), tuple(notes))
+    return plans, notes
 
 
-def paper_table(table: Table, report: BenchmarkReport) -> str:
-    """Set a report in Markdown, data set by data set: 3PE in per cent / EPE in px, means over scenes and seeds.
-
-    Where a system has them, the last weights and those best on validation are two columns; the published value stands
-    in brackets beside the first.
-    """
-    cells = _means(report.rows)
-    data_sets = dict.fromkeys(column.data_set for column in table.columns)
-    blocks = [_block(table, cells, data_set) for data_set in data_sets]
-    return "\n\n".join(block for block in blocks if block)
-
-
-def _block(table: Table, cells: Mapping[tuple[str, str, str], _Means], data_set: str) -> str:
-    """The part of a table that is of one data set; nothing where it has no cell."""
-    columns = [
-        (index, column, weights)
-        for index, column in enumerate(table.columns)
-        for weights in ("", BEST)
-        if column.data_set == data_set and any(_is_of(key, column, weights) for key in cells)
-    ]
-    if not columns:
-        return ""
-    lines = []
-    for system in dict.fromkeys(key[0] for key in cells):
-        published = table.rows.get(system) or (None,) * len(table.columns)
-        line = [
-            _cell(
-                next((cells[key] for key in cells if key[0] == system and _is_of(key, column, weights)), None),
-                None if weights else published[index],
-            )
-            for index, column, weights in columns
-        ]
-        lines.append([SYSTEMS[system].title, *line])
-    names = [f"{column.damage} x{column.factor:g}{', best' if weights else ''}" for _, column, weights in columns]
-    return f"**{data_set}**\n\n{markdown_table(['3PE % / EPE px', *names], lines)}"
-
-
-def _is_of(key: tuple[str, str, str], column: Column, weights: str) -> bool:
-    """Whether a mean belongs to a column of the best weights, or to one of all others."""
-    return key[2] == column.heading and (key[1] == BEST) == (weights == BEST)
-
-
-def write_table(table: Table, report: BenchmarkReport, out: Path) -> tuple[Path, ...]:
-    """Write a table as Markdown, CSV and JSON.
-
-    Args:
-        table: which one.
-        report: of `benchmark_table`.
-        out: the folder.
-
-    Returns:
-        The files.
-    """
-    paths = tuple(out / f"{table.name}.{suffix}" for suffix in ("md", "csv", "json"))
-    notes = "".join(f"\n- {note}" for note in report.notes)
-    budget = f"Budget of each training: {report.options['budget']}; seeds: {report.options['seeds']}."
-    write_text(paths[0], f"# {table.title}\n\n{paper_table(table, report)}\n\n{budget}\n{notes}\n")
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(report.rows[0]) if report.rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(report.rows)
-    write_text(paths[1], stream.getvalue())
-    write_report_json(report, paths[2])
-    return paths
+def _drawn(plans: Sequence[CellPlan], cells: Cells, rows: Sequence[Row], *, folder: Path) -> Iterator[Sheet]:
+    """Draw every scene of every column, with the first seed's maps: the best weights' where there are such."""
+    errors = {
+        (row["column"], row["scene"], row["system"], row["weights"]): float(str(row["off_3px_5percent"]))
+        for row in rows
+        if row["region"] == "all" and row["seed"] == 0
+    }
+    shown = [plan for plan in plans if plan.task.seed == 0]
+    for heading in dict.fromkeys(plan.column.heading for plan in shown):
+        of_column = [plan for plan in shown if plan.column.heading == heading]
+        for scene in of_column[0].scenes:
+            found = []
+            for plan in of_column:
+                place = (heading, scene.name, plan.system.name)
+                weights = next((name for name in (BEST, LAST, "") if (*place, name) in errors), None)
+                map_px = None if weights is None else kept_map(cells.folder(plan), scene.name, weights)
+                if weights is not None and map_px is not None:
+                    title = f"{plan.system.title}, best" if weights == BEST else plan.system.title
+                    found.append(Found(title, errors[*place, weights], map_px))
+            if found:
+                path = folder / f"{re.sub(r'[^A-Za-z0-9_]+', '-', f'{heading} {scene.name}')}.png"
+                seen = Prepared({}).seen_pair(of_column[0].task, scene.name, scene.read())
+                write_scene_sheet(path, seen, found)
+                yield Sheet(heading, scene.name, path)
 
 
 def _systems(table: Table, names: Sequence[str]) -> tuple[list[System], list[str]]:
@@ -172,27 +160,3 @@ def _systems(table: Table, names: Sequence[str]) -> tuple[list[System], list[str
     absent = [name for name in table.rows if name not in SYSTEMS]
     notes = [f"rows that telewide cannot compute yet: {', '.join(absent)}"] if absent else []
     return [SYSTEMS[name] for name in table.rows if name in SYSTEMS], notes
-
-
-def _means(rows: Sequence[Row]) -> dict[tuple[str, str, str], _Means]:
-    """3PE in per cent, EPE in px and PSNR of the features in dB by system, weights and column."""
-    values: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        if row["region"] == "all":
-            values.setdefault((str(row["system"]), str(row["weights"]), str(row["column"])), []).append(row)
-    return {
-        key: (100 * _mean(found, "off_3px_5percent"), _mean(found, "end_point_error_px"), _mean(found, "space_psnr_db"))
-        for key, found in values.items()
-    }
-
-
-def _mean(rows: Sequence[Mapping[str, object]], key: str) -> float:
-    values = [row[key] for row in rows]
-    return float(np.mean([value if isinstance(value, int | float) else math.nan for value in values]))
-
-
-def _cell(ours: _Means | None, published: Published | None) -> str:
-    shown = "-" if ours is None else f"{number(ours[0], '.2f')} / {number(ours[1], '.2f')}"
-    if ours is not None and math.isfinite(ours[2]):
-        shown += f" / {ours[2]:.2f} dB"
-    return shown if published is None else f"{shown} ({published})"

@@ -16,10 +16,12 @@ from typer.testing import CliRunner
 
 from telewide.benchmark.datasets.catalogue import DATA_SETS
 from telewide.benchmark.paper import systems as systems_module
-from telewide.benchmark.paper.run import PaperOptions, benchmark_table, paper_table, write_table
+from telewide.benchmark.paper.means import paper_table
+from telewide.benchmark.paper.run import PaperOptions, benchmark_table, planned_cells
 from telewide.benchmark.paper.system import Budget, Place, Prepared, System, Task
 from telewide.benchmark.paper.systems import SYSTEMS, match_like_opencv
-from telewide.benchmark.paper.tables import Column, Published, Table
+from telewide.benchmark.paper.tables import Column, Published, Table, find_table, load_tables
+from telewide.benchmark.paper.write import write_table
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pfm import write_pfm
 from telewide.cli.app import app
@@ -63,9 +65,9 @@ def options(data: Path, **changes: object) -> PaperOptions:
 
 
 def test_cells_are_kept(data: Path, asked: list[Task]) -> None:
-    report = benchmark_table(TABLE, options(data), tell=lambda _: None)
+    result = benchmark_table(TABLE, options(data), tell=lambda _: None)
     assert len(asked) == 2
-    assert benchmark_table(TABLE, options(data), tell=lambda _: None).rows == report.rows
+    assert benchmark_table(TABLE, options(data), tell=lambda _: None).report.rows == result.report.rows
     assert len(asked) == 2
     benchmark_table(TABLE, options(data, seeds=2), tell=lambda _: None)
     assert len(asked) == 4
@@ -102,19 +104,20 @@ def test_cut_off_cells_are_made_again(data: Path, asked: list[Task]) -> None:
 
 
 def test_the_table_shows_both_weights_and_what_is_published(data: Path, asked: list[Task]) -> None:
-    report = benchmark_table(TABLE, options(data), tell=lambda _: None)
+    result = benchmark_table(TABLE, options(data), tell=lambda _: None)
     head, _, known = (
-        [cell.strip() for cell in line.split("|")[1:-1]] for line in paper_table(TABLE, report).splitlines()[2:]
+        [cell.strip() for cell in line.split("|")[1:-1]]
+        for line in paper_table(TABLE, result.report.rows).splitlines()[2:]
     )
     assert head[1:] == ["BIC x2", "BIC x2, best", "IG x2", "IG x2, best"]
     assert known == ["Known", "100.00 / 4.00 (12.34 / 1.50)", "0.00 / 0.00", "100.00 / 4.00", "0.00 / 0.00"]
-    assert any("not-built" in note for note in report.notes)
-    paths = write_table(TABLE, report, data.parent / "out")
+    assert any("not-built" in note for note in result.report.notes)
+    paths = write_table(TABLE, result, data.parent / "out")
     assert "budget" in paths[0].read_text().lower()
-    of_best = [row for row in report.rows if row["weights"] == "best"]
+    of_best = [row for row in result.report.rows if row["weights"] == "best"]
     assert all(row["bad_1px"] == 0 and row["density"] == 1 for row in of_best)
     rows = list(csv.DictReader(paths[1].read_text().splitlines()))
-    assert len(rows) == len(report.rows) == 2 * 2 * 2
+    assert len(rows) == len(result.report.rows) == 2 * 2 * 2
     assert json.loads(paths[2].read_text())["machine"]["versions"]["numpy"]
 
 
@@ -123,24 +126,24 @@ def test_what_fails_leaves_the_other_cells(data: Path, asked: list[Task], monkey
         raise InputError("no weights")
 
     monkeypatch.setitem(SYSTEMS, "broken", replace(SYSTEMS["known"], name="broken", title="Broken", prepare=refuse))
-    report = benchmark_table(TABLE, options(data, systems=("broken", "known")), tell=lambda _: None)
-    assert {row["system"] for row in report.rows} == {"known"}
-    assert any("Broken" in note and "no weights" in note for note in report.notes)
+    result = benchmark_table(TABLE, options(data, systems=("broken", "known")), tell=lambda _: None)
+    assert {row["system"] for row in result.report.rows} == {"known"}
+    assert any("Broken" in note and "no weights" in note for note in result.report.notes)
     with pytest.raises(InputError, match="no cell"):
         benchmark_table(TABLE, options(data, systems=("broken",)), tell=lambda _: None)
 
 
 def test_the_picture_as_a_space(data: Path) -> None:
     table = Table("spaces", "Spaces", COLUMNS[:1], {"image-space": (Published(55.3, None, 24.65),)})
-    report = benchmark_table(table, options(data), tell=lambda _: None)
+    result = benchmark_table(table, options(data), tell=lambda _: None)
     pictures = [read_image(data / "captures" / scene / "wide.png") for scene in ("one", "two")]
     expected_db = [
         -10 * np.log10(np.mean((shrink_and_enlarge(picture, factor=2) - picture) ** 2) / np.ptp(picture) ** 2)
         for picture in pictures
     ]
-    assert [row["space_psnr_db"] for row in report.rows] == pytest.approx(expected_db, abs=0.01)
-    assert all(float(str(row["off_3px_5percent"])) < 0.2 for row in report.rows)
-    assert f"{np.mean(expected_db):.2f} dB (55.30 / 24.65 dB)" in paper_table(table, report)
+    assert [row["space_psnr_db"] for row in result.report.rows] == pytest.approx(expected_db, abs=0.01)
+    assert all(float(str(row["off_3px_5percent"])) < 0.2 for row in result.report.rows)
+    assert f"{np.mean(expected_db):.2f} dB (55.30 / 24.65 dB)" in paper_table(table, result.report.rows)
 
 
 def test_missing_data_and_slips(data: Path, asked: list[Task]) -> None:
@@ -204,3 +207,50 @@ def test_lists_and_a_table_by_the_command(data: Path) -> None:
     assert "**Middlebury 2014**" in result.stdout
     assert "GAIN x4" in result.stdout
     assert (data.parent / "out" / "open.md").is_file()
+
+
+def test_of_several_processes_one_speaks_and_writes(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = data / "middlebury_2014" / "Own"
+    scene.mkdir(parents=True)
+    for name, view in (("im0.png", "tele.png"), ("im1.png", "wide.png"), ("disp0.pfm", "truth.pfm")):
+        (scene / name).write_bytes((data / "captures/one" / view).read_bytes())
+    out, run = data.parent / "out", CliRunner()
+    words = ["benchmark", "paper", "--table", "open", "--data", str(data), "--systems", "sgm-opencv", "--out", str(out)]
+    second = run.invoke(app, words, env={"RANK": "1", "WORLD_SIZE": "2"})
+    assert (second.exit_code, second.output) == (0, "")
+    cells = sorted(path.name for path in (out / "cells").iterdir())
+    assert len(cells) == 8
+    assert not (out / "open.md").exists()
+    first = run.invoke(app, words, env={"RANK": "0", "WORLD_SIZE": "2"})
+    assert "**Middlebury 2014**" in first.stdout
+    assert sorted(path.name for path in (out / "cells").iterdir()) == cells
+    assert (out / "open.html").is_file()
+    assert len(list((out / "open").glob("*.png"))) == 8
+
+
+def test_restorer_weights_that_do_not_exist(data: Path) -> None:
+    words = ["benchmark", "paper", "--table", "overall", "--data", str(data), "--restorer-weights"]
+    for stated, expected in (("rcan", "rcan=FILE"), ("ran=x.pt", "dan=FILE"), ("rcan=x.pt", "x.pt does not exist")):
+        result = CliRunner().invoke(app, [*words, stated])
+        assert result.exit_code == 2
+        assert expected in result.output
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", [name for name in load_tables() if name != "prior"])
+def test_every_row_of_every_table_has_cells_on_the_photographed_sets(
+    name: str, data_root: Path, tmp_path: Path
+) -> None:
+    """What each cell would learn from and be judged by; nothing of the test is learned from."""
+    table = find_table(name)
+    plans, _ = planned_cells(table, PaperOptions(data_root, tmp_path))
+    headings = {plan.column.heading for plan in plans}
+    assert {plan.system.name for plan in plans} == set(table.rows)
+    assert len(plans) == len(headings) * len(table.rows)
+    assert {c.data_set for c in table.columns} - {plan.column.data_set for plan in plans} <= {"Inria_SLFD"}
+    for plan in plans:
+        tested = {(scene.root, scene.name) for scene in plan.scenes}
+        assert plan.task.training
+        assert plan.task.validation
+        for scene in (*plan.task.training, *plan.task.validation):
+            assert (scene.root, scene.name) not in tested
