@@ -266,6 +266,7 @@ def _names(text: str | None) -> tuple[str, ...]:
 
 def _restorer_weights(stated: Sequence[str]) -> dict[str, tuple[Path, ...]]:
     from telewide.benchmark.learned import read_learned_systems
+    from telewide.files import is_file
 
     known = sorted({system.restorer for system in read_learned_systems().values() if system.restorer})
     found: dict[str, tuple[Path, ...]] = {}
@@ -273,7 +274,7 @@ def _restorer_weights(stated: Sequence[str]) -> dict[str, tuple[Path, ...]]:
         name, _, file = text.partition("=")
         if name not in known or not file:
             raise UsageError(f"--restorer-weights {text}: {' or '.join(f'{each}=FILE' for each in known)} was expected")
-        if not Path(file).is_file():
+        if not is_file(Path(file)):
             raise UsageError(f"--restorer-weights {text}: {file} does not exist")
         found[name] = (*found.get(name, ()), Path(file))
     return found

@@ -84,7 +84,7 @@ def whole_px_frame(root: Path) -> tuple[str, ...]:
     Args:
         root: the folder.
     """
-    return (WHOLE_PX_FRAME,) if all((root / name).is_file() for name in _WHOLE_PX_FILES) else ()
+    return (WHOLE_PX_FRAME,) if all(is_file(root / name) for name in _WHOLE_PX_FILES) else ()
 
 
 def read_whole_px_frame(root: Path) -> StereoTruth:

@@ -17,7 +17,7 @@ from pydantic import JsonValue
 from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.paper.pairs import TrainingPairs, digest_of
 from telewide.benchmark.paper.system import Place, Task, source_fingerprint
-from telewide.files import fingerprint
+from telewide.files import fingerprint, is_file
 from telewide.folders import alone_in
 from telewide.matching.networks import StereoNetwork
 from telewide.recipe import Recipe
@@ -131,7 +131,7 @@ def _trained(
     kind = _kind(stage)
     with alone_in(folder, waiting=chain.place.tell):
         path = folder / _RECORD
-        record = read_record(path, StageRecord) if path.is_file() else None
+        record = read_record(path, StageRecord) if is_file(path) else None
         if record is None:
             n = steps.get(kind) or _steps_of(chain, plan, stage, before=before, steps=steps, device=device)
             record = StageRecord(steps=n, is_done=False)
@@ -222,7 +222,7 @@ def _begun(
 ) -> TrainingState:
     """The training that lies in a folder, or the one of the stage before, turned to the next, or a new one."""
     network = chain.recipe.network
-    if (folder / STATE_NAME).is_file():
+    if is_file(folder / STATE_NAME):
         return load_state(folder / STATE_NAME, network_name=network, device=device, plan=plan)
     if before is None:
         weights = BOX_WEIGHTS if chain.recipe.train.start == "box" else None

@@ -22,7 +22,7 @@ from telewide.capture.layout import Capture
 from telewide.capture.pair import read_pair
 from telewide.capture.pfm import write_pfm
 from telewide.errors import InputError
-from telewide.files import write_text
+from telewide.files import is_file, write_text
 from telewide.folders import alone_in
 from telewide.stages.labels import confident_disparity
 from telewide.training.samples import labels_path
@@ -78,7 +78,7 @@ def write_pairs(
     digest = digest_of(facts)
     folder = place.folder / "pairs" / digest
     with alone_in(folder, waiting=place.tell):
-        if not (folder / _DONE).is_file():
+        if not is_file(folder / _DONE):
             for scene in task.training:
                 place.tell(f"{scene.name}: written to learn from")
                 truth = sharp[_name(scene)]
@@ -111,7 +111,7 @@ def _capture(folder: Path, name: str, wide: str) -> Capture:
 def _write_labels(folder: Path, names: tuple[str, ...], task: Task, place: Place) -> None:
     for name in names:
         path = labels_path(folder / "labels" / name, window_px=task.window)
-        if not path.is_file():
+        if not is_file(path):
             place.tell(f"{name}: labelled by semi-global matching")
             pair = read_pair(_capture(folder, name, "wide.png"))
             write_pfm(path, confident_disparity(pair, task.window))

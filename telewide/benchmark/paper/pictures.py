@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from telewide.benchmark.datasets.truth import StereoTruth
-from telewide.capture.images import read_pfm, write_pfm
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.depth.preview import colourise, display_range_px
 from telewide.drawing import painted, scaled_image
+from telewide.files import is_file
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import resize_disparity
 from telewide.pages.contact import strip, write_sheet
@@ -75,7 +76,7 @@ def kept_map(folder: Path, scene: str, weights: str) -> FloatMap | None:
         InputError: it cannot be read.
     """
     path = _map_path(folder, scene, weights)
-    return read_pfm(path) if path.is_file() else None
+    return read_pfm(path) if is_file(path) else None
 
 
 def write_scene_sheet(path: Path, truth: StereoTruth, found: Sequence[Found]) -> None:

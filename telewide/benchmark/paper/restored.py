@@ -21,7 +21,7 @@ from telewide.benchmark.paper.pairs import digest_of
 from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint, source_fingerprint
 from telewide.capture.images import resize_bicubic
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import fingerprint, replacing
+from telewide.files import fingerprint, is_file, replacing
 from telewide.folders import alone_in
 from telewide.geometry.arrays import FloatImage
 from telewide.matching.inference import choose_device
@@ -91,7 +91,7 @@ def _trained(name: str, factor: int, task: Task, place: Place) -> tuple[nn.Modul
     folder = place.folder / "restorers" / digest_of(facts)
     with alone_in(folder, waiting=place.tell):
         path = folder / f"{name}-x{factor}.safetensors"
-        if not path.is_file():
+        if not is_file(path):
             device = choose_device(task.device)
             least = min((min(picture.shape[:2]) for picture in pictures), default=0)
             source = CropSource(

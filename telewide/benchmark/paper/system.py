@@ -19,7 +19,7 @@ from telewide.benchmark.damages import Damage, damaged_small_view, damaged_view
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.cores import Device
-from telewide.files import fingerprint
+from telewide.files import fingerprint, is_folder
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.matching.window import Window
 
@@ -180,7 +180,7 @@ def source_fingerprint(modules: Sequence[str]) -> str:
     digest = hashlib.sha256()
     for module in modules:
         path = _PACKAGE / module.replace(".", "/")
-        for file in sorted(path.glob("*.py")) if path.is_dir() else (path.with_suffix(".py"),):
+        for file in sorted(path.glob("*.py")) if is_folder(path) else (path.with_suffix(".py"),):
             digest.update(file.read_bytes())
     return digest.hexdigest()
 
