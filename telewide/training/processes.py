@@ -106,6 +106,23 @@ def this_process() -> Processes:
     return Processes(int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1")))
 
 
+def take_own_gpu(device: Device) -> None:
+    """Let this process compute on a GPU of its own, as far as there are enough of them; without one nothing happens.
+
+    Args:
+        device: auto, cpu or cuda.
+
+    Raises:
+        MissingPartError: cuda was asked for and is not there.
+    """
+    import torch
+
+    from telewide.matching.inference import choose_device
+
+    if choose_device(device).type == "cuda":
+        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
+
+
 @contextmanager
 def joined_processes(device: Device) -> Iterator[Processes]:
     """Join the group ``torchrun`` started, if it did.
@@ -124,14 +141,12 @@ def joined_processes(device: Device) -> Iterator[Processes]:
     if processes.world == 1:
         yield processes
         return
-    import torch
     import torch.distributed as dist
 
     from telewide.matching.inference import choose_device
 
     is_gpu = choose_device(device).type == "cuda"
-    if is_gpu:
-        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
+    take_own_gpu(device)
     dist.init_process_group("cpu:gloo,cuda:nccl" if is_gpu else "gloo", timeout=_PATIENCE)
     try:
         yield processes

@@ -16,7 +16,7 @@ from telewide.benchmark.paper.tables import Table
 from telewide.benchmark.report import BenchmarkReport
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
-from telewide.training.processes import this_process
+from telewide.training.processes import take_own_gpu, this_process
 
 DEFAULT_BUDGET_MIN = 8.0
 
@@ -76,6 +76,8 @@ def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> Paper
     """
     plans, notes = planned_cells(table, options)
     processes = this_process()
+    if processes.world > 1 and any(plan.system.learns for plan in plans):
+        take_own_gpu(options.device)
     first = len(plans) * processes.rank // processes.world  # so that they do not ask for the same cells at once
     rows: list[Row] = []
     cells = Cells(options.out, tell)

@@ -87,6 +87,20 @@ def test_a_real_frame_in_the_layout_of_kitti_2015(data_root: Path, tmp_path: Pat
     assert_right_becomes_left(truth, share=0.3)
 
 
+def test_a_real_frame_in_whole_px(data_root: Path, tmp_path: Path) -> None:
+    data_set = DATA_SETS["kitti_one_frame"]
+    root = locate(data_set, data_root)
+    assert root is not None
+    assert data_set.scenes(root) == ("frame",)
+    truth = data_set.read(root, "frame", (0, 1))
+    assert truth.left.shape == (375, 1242, 3)
+    assert np.isnan(truth.disparity_px).any()
+    assert np.nanmin(truth.disparity_px) >= 1
+    assert (truth.disparity_px[np.isfinite(truth.disparity_px)] % 1 == 0).all()
+    assert_right_becomes_left(truth, share=0.3)
+    assert data_set.scenes(tmp_path) == ()
+
+
 @pytest.fixture
 def inria(tmp_path: Path, rng: np.random.Generator) -> Path:
     """A canvas that slides by `STEP_PX` from view to view; the middle row only."""
