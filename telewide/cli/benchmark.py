@@ -17,6 +17,7 @@ from telewide.files import is_file, is_folder
 from telewide.ranges import MAX_SEED, MAX_STEPS
 
 if TYPE_CHECKING:
+    from telewide.benchmark.paper.run import PaperOptions
     from telewide.benchmark.paper.system import System
     from telewide.benchmark.paper.tables import Table
     from telewide.benchmark.report import BenchmarkReport
@@ -222,13 +223,10 @@ def paper(
     list_systems: Annotated[bool, typer.Option("--list-systems", help="Print the systems and leave.")] = False,
 ) -> None:
     """Reproduce a table of the publication on the data sets you have; kept cells are not computed again."""
-    from telewide.benchmark.paper.means import paper_table
-    from telewide.benchmark.paper.run import PaperOptions, benchmark_table
+    from telewide.benchmark.paper.run import PaperOptions
     from telewide.benchmark.paper.system import Budget
     from telewide.benchmark.paper.systems import SYSTEMS
     from telewide.benchmark.paper.tables import find_table, load_tables
-    from telewide.benchmark.paper.write import write_table
-    from telewide.training.processes import this_process
 
     if list_tables or list_systems:
         _list(load_tables() if list_tables else SYSTEMS)
@@ -246,14 +244,24 @@ def paper(
         device=device,
         restorer_weights=_restorer_weights(restorer_weights or ()),
     )
-    is_writer = this_process().is_writer
-    result = benchmark_table(wanted, options, tell=_tell if is_writer else _tell_nobody)
-    if not is_writer:
+    _make_table(wanted, options)
+
+
+def _make_table(table: Table, options: PaperOptions) -> None:
+    """Compute a table; of several processes one speaks and writes."""
+    from telewide.benchmark.paper.means import paper_table
+    from telewide.benchmark.paper.run import benchmark_table
+    from telewide.benchmark.paper.write import write_table
+    from telewide.training.processes import this_process
+
+    if not this_process().is_writer:
+        benchmark_table(table, options, tell=lambda _message: None)
         return
-    say(paper_table(wanted, result.report.rows), is_answer=True)
+    result = benchmark_table(table, options, tell=_tell)
+    say(paper_table(table, result.report.rows), is_answer=True)
     for note in result.report.notes:
         _tell(f"note: {note}")
-    _tell("wrote " + ", ".join(str(path) for path in write_table(wanted, result, out)))
+    _tell("wrote " + ", ".join(str(path) for path in write_table(table, result, options.out)))
 
 
 def _list(known: Mapping[str, Table] | Mapping[str, System]) -> None:
@@ -316,10 +324,6 @@ def _folder_or_temporary(folder: Path | None) -> Iterator[Path]:
 
 def _tell(message: str) -> None:
     say(message)
-
-
-def _tell_nobody(_message: str) -> None:
-    """Of several processes one speaks."""
 
 
 def _hand_over(report: BenchmarkReport, table: str, json_file: Path | None) -> None:
