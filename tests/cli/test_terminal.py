@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import logging
 import math
 import os
@@ -22,7 +23,10 @@ from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.cli import main
 from telewide.cli.console import VisibleFormatter
 from telewide.cli.terminal import TerminalConsole
-from telewide.text import printable
+from telewide.pages.run_page import write_run_page
+from telewide.recipe import load_recipe
+from telewide.simulate.captures import write_captures
+from telewide.text import Invocation, printable
 
 ESCAPE = "\x1b]0;owned\x07\x9b2J"
 
@@ -102,6 +106,23 @@ def test_names_that_are_no_utf8(tmp_path: Path, capfd: pytest.CaptureFixture[str
     code, printed = run(capfd, "depth", str(tmp_path), "--method", "sgm", "--run", str(tmp_path / "run"))
     assert code == 3
     assert r"one\xff" in printed
+
+
+def test_work_in_a_folder_whose_name_is_no_utf8_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Record and page name the folder, their bytes are text."""
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/caf\xe9"))
+    write_captures(folder / "captures", count=1, seed=1, hw=(96, 128), factor=2)
+    monkeypatch.chdir(tmp_path)
+    code, _ = run(capfd, "depth", str(folder / "captures"), "--method", "sgm", "--run", "run", "--json")
+    assert code == 0
+    record = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
+    assert len(record["commands"]["depth"]["inputs_sha256"]) == 2
+    typed = Invocation("run", (folder,), {"out": folder})
+    log, recipe = tmp_path / "log.jsonl", load_recipe("quick")
+    page = write_run_page(tmp_path, (), log=log, recipe=recipe, captures=folder, invocation=typed)
+    assert "/caf\\" in page.read_text(encoding="utf-8")
 
 
 def test_nothing_is_printed_by_another_way() -> None:

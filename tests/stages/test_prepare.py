@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from rig_worlds import phone_rig, photos_of_a_plane
 
 import telewide.stages.prepare
-from telewide.calibration.rig_file import RigFacts, read_rig
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import find_captures, read_pair
 from telewide.capture.pfm import read_pfm
+from telewide.cli import main
 from telewide.correction.rectify import rectify_pair
 from telewide.errors import InputError, QualityError
 from telewide.files import fingerprint
@@ -59,6 +62,22 @@ def test_a_stopped_preparation_vouches_for_nothing(
     assert not np.array_equal(read_image(wide_path), expected), "the other kind was written before the stop"
     prepared(captures, run, *asked)
     assert np.array_equal(read_image(wide_path), expected)
+
+
+def test_a_rig_that_is_not_good_enough_is_said_quietly_too(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, captures = phone_rig(width_px=320), tmp_path / "captures"
+    for view, photo in zip(("tele", "wide"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(captures / "one" / f"{view}.png", photo)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="insufficient")
+    write_stored_rig(captures / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+    words = ("depth", str(captures), "--run", str(tmp_path / "run"), "--method", "sgm", "--quiet", "--json")
+    with pytest.raises(SystemExit):
+        main(words)
+    told = capsys.readouterr()
+    assert "the rig is marked insufficient: telewide show" in told.err
+    assert any("marked insufficient" in warning for warning in json.loads(told.out)["warnings"])
 
 
 def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
