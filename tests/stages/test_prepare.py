@@ -15,6 +15,7 @@ from rig_worlds import phone_rig, photos_of_a_plane
 import telewide.stages.prepare
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
+from telewide.capture.facts import CaptureFacts
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import find_captures, read_pair
 from telewide.capture.pfm import read_pfm
@@ -27,7 +28,7 @@ from telewide.simulate.captures import write_captures
 from telewide.stages.labels import write_labels
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
-from telewide.stages.rig import refuse_without_rig
+from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
 from telewide.training.samples import labels_path
 
@@ -231,6 +232,13 @@ def test_what_was_searched_before_is_searched_again_and_what_new_pairs_need_besi
     assert blank.window_with((0, 32)) == (0, 32)
     with pytest.raises(InputError):
         blank.window_with(None)
+
+
+@pytest.mark.parametrize("name", ["rig.yaml", "rig.yml", "Rig.YAML"])
+def test_a_rig_is_found_by_any_spelling_of_its_name(captures: Path, tmp_path: Path, repo: Path, name: str) -> None:
+    shutil.copy(repo / "calib" / "rigs" / "example_phone.yaml", tmp_path / name)
+    found = dataclasses.replace(find_captures(captures), root=tmp_path, facts=CaptureFacts())
+    assert locate_rig(None, found) is not None
 
 
 def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: Path) -> None:
