@@ -18,6 +18,7 @@ from telewide.calibration.scene_quality import ZERO_CHECK, zero_std_px
 from telewide.capture.images import write_image
 from telewide.cli import main
 from telewide.geometry.rig import Camera, rigid_transform
+from telewide.stages.calibrate_scenes import SceneOptions, scenes_call
 
 TEXTURE_WH = (1600, 1200)
 
@@ -136,6 +137,13 @@ def test_a_crop_of_wide_has_no_say(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "no capture can be used" in told
     assert "left out: one" in told
     assert "digital crop of the wide lens" in told
+
+
+def test_the_call_that_is_advised_names_all_that_was_stated() -> None:
+    options = SceneOptions(baseline_m=0.012, wide_side="left", f35_mm=(80, 27), out=Path("phone B.yaml"), seed=3)
+    stated = "--from-scenes --f35 80,27 --baseline-m 0.012 --wide-side left --seed 3 --out 'phone B.yaml'"
+    assert scenes_call(Path("my captures"), options).again() == f"telewide calibrate 'my captures' {stated}"
+    assert scenes_call(Path("captures"), SceneOptions()).again() == "telewide calibrate captures --from-scenes"
 
 
 @pytest.mark.parametrize("share", [0.02, 0.9])
