@@ -43,6 +43,10 @@ RestorerOption = Annotated[
     typer.Option(metavar="NAME=FILE", help="A restorer's own checkpoint, such as rcan=RCAN_BIX4.pt; may be repeated."),
 ]
 
+PsmnetOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="A checkpoint of PSMNet's authors for the row psmnet.")
+]
+
 
 @benchmark_app.command(epilog="Example: `telewide benchmark speed --json speed.json`")
 def speed(
@@ -214,6 +218,7 @@ def paper(
     budget: Annotated[float, typer.Option(metavar="MIN", min=0.01, help="Minutes of each training.")] = 8.0,
     steps: StepsOption = None,
     restorer_weights: RestorerOption = None,
+    psmnet_weights: PsmnetOption = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many; the mean is shown.")] = 1,
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="Keeps cells, and the table in three formats.")] = Path(
         "paper"
@@ -242,7 +247,7 @@ def paper(
         budget=Budget(budget, steps),
         seeds=seeds,
         device=device,
-        restorer_weights=_restorer_weights(restorer_weights or ()),
+        weights=_weights(restorer_weights or (), psmnet_weights),
     )
     _make_table(wanted, options)
 
@@ -272,7 +277,7 @@ def _names(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
-def _restorer_weights(stated: Sequence[str]) -> dict[str, tuple[Path, ...]]:
+def _weights(stated: Sequence[str], of_psmnet: Path | None) -> dict[str, tuple[Path, ...]]:
     from telewide.benchmark.learned import read_learned_systems
     from telewide.files import is_file
 
@@ -285,6 +290,10 @@ def _restorer_weights(stated: Sequence[str]) -> dict[str, tuple[Path, ...]]:
         if not is_file(Path(file)):
             raise UsageError(f"--restorer-weights {text}: {file} does not exist")
         found[name] = (*found.get(name, ()), Path(file))
+    if of_psmnet is not None:
+        if not is_file(of_psmnet):
+            raise UsageError(f"--psmnet-weights {of_psmnet}: there is no such file")
+        found["psmnet"] = (of_psmnet,)
     return found
 
 

@@ -32,6 +32,7 @@ class Comparison:
         visible_Bhw: (B, H/4, W/4) bool, what passes the left-right check; None where nothing is left out.
         space: frozen extractor, where features are compared.
         alpha: weight of the structural part.
+        has_unit_features: whether features are scaled to unit length before they are compared.
         valid: (B, H, W) bool each, where ref and src were photographed; None where they are whole.
     """
 
@@ -42,6 +43,7 @@ class Comparison:
     visible_Bhw: Tensor | None
     space: nn.Module | None
     alpha: float
+    has_unit_features: bool = True
     valid: tuple[Tensor, Tensor] | None = None
 
     @property
@@ -77,7 +79,9 @@ def feature_metric(crops: Comparison) -> Term:
     warped = comparable_map(space, warp_to_ref(prepare_view(space, crops.src_BCHW), disparity_px))
     step_px = disparity_px.shape[-1] // target.shape[-1]
     mask = functional.avg_pool2d(crops.counts.float()[:, None], step_px)[:, 0] > 0.99
-    return feature_metric_loss(target, warped, mask_BHW=mask, alpha=crops.alpha)
+    return feature_metric_loss(
+        target, warped, mask_BHW=mask, alpha=crops.alpha, has_unit_features=crops.has_unit_features
+    )
 
 
 def supervised(crops: Comparison) -> Term:

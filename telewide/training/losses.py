@@ -88,7 +88,9 @@ def photometric_loss(
     return _masked(difference, mask_BHW[:, 1:-1, 1:-1])
 
 
-def feature_metric_loss(target_BCHW: Tensor, warped_BCHW: Tensor, *, mask_BHW: Tensor, alpha: float) -> Term:
+def feature_metric_loss(
+    target_BCHW: Tensor, warped_BCHW: Tensor, *, mask_BHW: Tensor, alpha: float, has_unit_features: bool = True
+) -> Term:
     """Feature-metric loss, eq. 5: eq. 3 between features of ref and features of the warped source *image*.
 
     Features are scaled to unit length over the channels first, so that ``alpha`` means the same in every stage.
@@ -98,9 +100,11 @@ def feature_metric_loss(target_BCHW: Tensor, warped_BCHW: Tensor, *, mask_BHW: T
         warped_BCHW: (B, C, h, w) F_r->L, features of the source view warped to ref.
         mask_BHW: (B, h, w) bool, on the grid of the features.
         alpha: weight of the structural part.
+        has_unit_features: whether they are scaled; as published they are not.
     """
-    target = functional.normalize(at_least_float32(target_BCHW), dim=1, eps=1e-4)
-    warped = functional.normalize(at_least_float32(warped_BCHW), dim=1, eps=1e-4)
+    target, warped = at_least_float32(target_BCHW), at_least_float32(warped_BCHW)
+    if has_unit_features:
+        target, warped = (functional.normalize(features, dim=1, eps=1e-4) for features in (target, warped))
     return _masked(reconstruction_difference(target, warped, alpha=alpha), mask_BHW[:, 1:-1, 1:-1])
 
 

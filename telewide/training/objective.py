@@ -193,6 +193,7 @@ def _captured_terms(
             visible_Bhw=visible,
             space=teacher,
             alpha=options.alpha,
+            has_unit_features=options.unit_features,
             valid=valid,
         )
         terms.append((options.captured_loss, weight, CAPTURED_LOSSES[options.captured_loss](crops)))

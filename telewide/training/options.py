@@ -44,6 +44,8 @@ class StageOptions(Options):
     """Weight of the real crops' loss beside the rehearsed crops'."""
     alpha: Annotated[float, Field(ge=0)] = 3.0
     """Weight of the structural part in eq. 3 and eq. 5."""
+    unit_features: bool = True
+    """Scale features to unit length over the channels before eq. 5 compares them; the paper does not."""
     smoothness: Annotated[float, Field(ge=0)] = 0.1
     """lambda, weight of eq. 6."""
     occlusion_masks: bool = True

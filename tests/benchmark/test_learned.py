@@ -32,6 +32,10 @@ EXPECTED = {
     "method-k1": ("psmnet-s", None, 2, "photometric", (False, False), "own"),
     "method-k2": ("psmnet-s", None, 3, "photometric", (False, False), "own"),
     "method": ("psmnet-s", None, 4, "photometric", (False, False), "own"),
+    **{
+        f"method-k1-{change}": ("psmnet-s", None, 2, "photometric", (False, False), "own")
+        for change in ("rate", "raw", "smooth", "batch", "large")
+    },
     "basenet-su": ("psmnet-s", None, 1, "supervised", (False, False), "own"),
     "basenet-iresnet": ("iresnet-s", None, 1, "photometric", (False, False), "own"),
     "method-iresnet": ("iresnet-s", None, 4, "photometric", (False, False), "own"),

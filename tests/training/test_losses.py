@@ -125,6 +125,14 @@ def test_feature_metric_loss_does_not_see_the_size_of_features() -> None:
     assert small == pytest.approx(large, rel=1e-4)
 
 
+def test_features_as_they_are_are_compared_like_pictures() -> None:
+    """Eq. 5 is eq. 3 in another space: with the views themselves as features both are one."""
+    ref, src, truth = exact_pair(4)
+    mask, off_px = everywhere(ref), truth + 0.7
+    as_features = feature_metric_loss(ref, warp_to_ref(src, off_px), mask_BHW=mask, alpha=3.0, has_unit_features=False)
+    assert mean(as_features) == pytest.approx(mean(photometric_loss(ref, src, off_px, mask_BHW=mask, alpha=3.0)))
+
+
 def test_masked_pixels_do_not_count() -> None:
     ref, src, truth = exact_pair(3)
     spoilt = src.clone()

@@ -140,7 +140,7 @@ class Cells:
                 "validation": [self._fingerprint(scene) for scene in plan.task.validation],
                 "training_window": list(plan.task.window),
                 "budget": plan.task.budget.as_data(),
-                "restorer": weights_fingerprints(plan.system, plan.task),
+                "weights": weights_fingerprints(plan.system, plan.task),
                 "device": _device_type(plan.task.device),
             }
         return key
@@ -210,7 +210,7 @@ class Wanted:
         seed: of everything drawn.
         budget: of each training.
         device: to compute on: auto, cpu or cuda.
-        restorer_weights: files to take by the name of a restorer, instead of training it.
+        weights: files of others to take, by what they are of, instead of training it.
     """
 
     data_root: Path
@@ -218,7 +218,7 @@ class Wanted:
     seed: int
     budget: Budget
     device: Device = "auto"
-    restorer_weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
 
 def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tuple[list[CellPlan], list[str]]:
@@ -250,7 +250,7 @@ def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tu
         seed=wanted.seed,
         budget=wanted.budget,
         device=wanted.device,
-        restorer_weights=wanted.restorer_weights,
+        weights=wanted.weights,
     )
     return [CellPlan(system, column, task, scenes) for system in systems], notes
 

@@ -9,6 +9,8 @@ from telewide.benchmark.learned import LearnedSystem
 from telewide.benchmark.paper.corrected import CORRECTION_SOURCES
 from telewide.benchmark.paper.system import Place, Prepared, System, Task
 
+PSMNET = "psmnet"
+"""Network whose authors' checkpoints load."""
 NETWORK_SOURCES = {
     "guided": ("matching.guided",),
     "iresnet": ("matching.iresnet",),
@@ -72,5 +74,5 @@ def learned_row(name: str, system: LearnedSystem) -> System:
         sources,
         files=(BOX_WEIGHTS,) if recipe.train.start == "box" else (),
         facts=facts,
-        restorer=system.restorer,
+        takes=system.restorer or (PSMNET if recipe.network == PSMNET else None),
     )

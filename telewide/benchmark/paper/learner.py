@@ -40,7 +40,7 @@ from telewide.correction.blur import damage_range, fit_blur
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.inference import GRID_PX, choose_device, full_precision, match_with_network
-from telewide.matching.networks import StereoNetwork, comparable_map, prepare_view
+from telewide.matching.networks import StereoNetwork, comparable_map, prepare_view, published_psmnet
 from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window
 from telewide.points.held_out import summarise_errors
@@ -68,6 +68,8 @@ def prepare_learned(system: LearnedSystem, task: Task, place: Place, *, sources:
     """
     recipe, device = system.resolved(seed=task.seed), choose_device(task.device)
     plan = plan_stages(recipe.train)
+    if system.restorer is None and (files := task.weights.get(recipe.network)):
+        return Prepared({"": _matcher(published_psmnet(files[0]).to(device))})
     view, view_facts = _second_view(system, plan, task, place)
     shown = undamaged_view(task) if plan[-1].options.symmetric_input else view
     pairs = write_pairs(task, place, second_view=view, view_facts=view_facts, teaches_by=_teaches_by(plan))

@@ -52,7 +52,7 @@ def restored_view(name: str, task: Task, place: Place) -> tuple[SecondView, dict
     factor = round(task.factor)
     if factor != task.factor:
         raise UsageError(f"{name} enlarges by whole factors, not by {task.factor:g}", hint="take another factor")
-    files = task.restorer_weights.get(name, ())
+    files = task.weights.get(name, ())
     network, facts = _read(name, factor, files) if files else _trained(name, factor, task, place)
     network = network.to(choose_device(task.device))
 

@@ -33,7 +33,7 @@ class PaperOptions:
         budget: of each training.
         seeds: 0 to one less than this are used, and the mean is shown.
         device: to compute on: auto, cpu or cuda.
-        restorer_weights: files to take by the name of a restorer, instead of training it.
+        weights: files of others to take, by the name of a restorer or of `psmnet`, instead of training it.
     """
 
     data_root: Path
@@ -43,7 +43,7 @@ class PaperOptions:
     budget: Budget = field(default_factory=lambda: Budget(DEFAULT_BUDGET_MIN))
     seeds: int = 1
     device: Device = "auto"
-    restorer_weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ def planned_cells(table: Table, options: PaperOptions) -> tuple[list[CellPlan], 
             seed,
             budget=options.budget,
             device=options.device,
-            restorer_weights=options.restorer_weights,
+            weights=options.weights,
         )
         for column in columns:
             of_column, said = plan_column(column, systems, wanted)

@@ -69,7 +69,7 @@ class Task:
         seed: of weights, samples and what is drawn of the damage.
         budget: of each training.
         device: to compute on.
-        restorer_weights: files to take by the name of a restorer, instead of training it.
+        weights: files of others to take, by the name of a restorer or of `psmnet`, instead of training it.
     """
 
     training: tuple[Scene, ...]
@@ -80,7 +80,7 @@ class Task:
     seed: int
     budget: Budget
     device: Device = "auto"
-    restorer_weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
+    weights: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
     def small_view(self, scene: str, truth: StereoTruth) -> FloatImage:
         """Damage the right view of a pair and leave it at the worse camera's own size.
@@ -158,7 +158,7 @@ class System:
         files: what it reads besides, such as weights; a change makes its cells anew likewise.
         learns: whether training, validation and budget of the task matter.
         facts: what it is made of, as plain data; a change makes its cells anew likewise.
-        restorer: name of what sharpens its second view; None for nothing.
+        takes: name of what a task may have weights of others for: its restorer or its network; None for nothing.
     """
 
     name: str
@@ -168,7 +168,7 @@ class System:
     files: tuple[Path, ...] = ()
     learns: bool = True
     facts: Mapping[str, JsonValue] = field(default_factory=dict)
-    restorer: str | None = None
+    takes: str | None = None
 
 
 def source_fingerprint(modules: Sequence[str]) -> str:
@@ -186,17 +186,17 @@ def source_fingerprint(modules: Sequence[str]) -> str:
 
 
 def weights_fingerprints(system: System, task: Task) -> list[str]:
-    """Fingerprint the restorer's weights that a system would take.
+    """Fingerprint the weights of others that a system would take.
 
     Args:
-        system: may have a restorer.
+        system: may take some.
         task: names the files.
 
     Raises:
         UsageError: there is no such file.
         InputError: it cannot be read.
     """
-    return [fingerprint(path) for path in task.restorer_weights.get(system.restorer or "", ())]
+    return [fingerprint(path) for path in task.weights.get(system.takes or "", ())]
 
 
 def content_fingerprint(truth: StereoTruth) -> str:

@@ -146,7 +146,7 @@ def test_weights_of_a_restorer_are_taken_where_they_fit(data: Path, tmp_path: Pa
     for factor in (2, 3):
         save_file(build_restorer("dan", factor=factor, seed=factor).state_dict(), tmp_path / f"x{factor}.safetensors")
     files = tuple(tmp_path / f"x{factor}.safetensors" for factor in (3, 2))
-    row, task = small_row("train.stages=0", restorer="dan"), task_of(data, steps=1, restorer_weights={"dan": files})
+    row, task = small_row("train.stages=0", restorer="dan"), task_of(data, steps=1, weights={"dan": files})
     prepared = row.prepare(task, Told().place(tmp_path / "out"))
     assert not (tmp_path / "out" / "restorers").exists()
     (scene,) = scenes_of(data, "test")
