@@ -17,11 +17,13 @@ from telewide.benchmark.learned import LearnedSystem, read_learned_systems
 from telewide.benchmark.paper.cells import Cells
 from telewide.benchmark.paper.chain import StageRecord
 from telewide.benchmark.paper.learned_rows import NETWORK_SOURCES, learned_row
-from telewide.benchmark.paper.system import Budget, System, undamaged_view
+from telewide.benchmark.paper.system import Budget, System, undamaged_view, weights_fingerprints
+from telewide.benchmark.paper.systems import SYSTEMS
 from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
-from telewide.matching.networks import NETWORKS, build_network
+from telewide.matching.inference import match_with_network
+from telewide.matching.networks import NETWORKS, build_network, published_psmnet
 from telewide.records import read_record
 from telewide.restoration.restorers import build_restorer
 
@@ -155,6 +157,22 @@ def test_weights_of_a_restorer_are_taken_where_they_fit(data: Path, tmp_path: Pa
         row.prepare(replace(task, factor=4.0), Told().place(tmp_path / "out"))
     with pytest.raises(UsageError, match="whole factors"):
         row.prepare(replace(task, factor=2.5), Told().place(tmp_path / "out"))
+
+
+def test_a_checkpoint_of_psmnet_answers_without_a_training(data: Path, tmp_path: Path) -> None:
+    network = build_network("psmnet", seed=3)
+    named = {f"feature_extraction.{name}": value for name, value in network.features.state_dict().items()}
+    torch.save({"state_dict": {**named, **network.matching.state_dict()}}, tmp_path / "published.tar")
+    task = task_of(data, steps=1, weights={"psmnet": (tmp_path / "published.tar",)})
+    prepared = SYSTEMS["psmnet"].prepare(task, Told().place(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+    (scene,) = scenes_of(data, "test")
+    seen = prepared.seen_pair(task, "d", scene.read())
+    expected = match_with_network(
+        seen.left, seen.right, network=published_psmnet(tmp_path / "published.tar"), window=WINDOW
+    )
+    np.testing.assert_array_equal(prepared.matchers[""](seen.left, seen.right, WINDOW), expected.disparity_px)
+    assert weights_fingerprints(SYSTEMS["psmnet"], task) != weights_fingerprints(SYSTEMS["basenet"], task) == []
 
 
 def test_without_scenes_to_learn_from_a_row_says_so(data: Path, out: Path) -> None:
