@@ -108,7 +108,7 @@ def test_pixels_of_two_sizes_are_told_apart(tmp_path: Path, rng: np.random.Gener
 
 def test_guesses_look_hatched_on_the_page_whatever_the_size_of_the_photo(tmp_path: Path) -> None:
     """The hatch is drawn at the size it is seen at; drawn at the photo's size it would be made invisible."""
-    hw = (1500, 2000)
+    hw = (540, 4320)  # nine times the size it is seen at, which is the period of the hatch
     disparity_px = np.tile(np.linspace(5, 40, hw[1], dtype=np.float32), (hw[0], 1))
     valid = np.arange(hw[1])[None].repeat(hw[0], axis=0) < hw[1] // 2
     write_depth(tmp_path / "one", DepthResult("one", DisparityMap(disparity_px, np.ones(hw, np.float32), valid)))
