@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
+from rig_worlds import phone_rig, photos_of_a_plane
 
+from telewide.calibration.quality import CalibrationQuality
+from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
+from telewide.capture.images import write_image
+from telewide.cli import main
 from telewide.cli.console import console_observer, hand_over
 from telewide.cli.depth import depth_as_json, why_not_good
 from telewide.errors import QualityError
@@ -46,3 +53,20 @@ def test_json_says_what_the_exit_code_means(capsys: pytest.CaptureFixture[str]) 
     assert told["captures"][0]["withheld"] == "no metres"
     hand_over(whole, failure=None, as_json=True)
     assert "exit_code" not in json.loads(capsys.readouterr().out)
+
+
+def test_a_known_distance_gives_an_aperture_to_a_rig_of_unknown_scale(tmp_path: Path, rng: np.random.Generator) -> None:
+    rig, one = phone_rig(width_px=320), tmp_path / "captures" / "one"
+    for view, photo in zip(("tele", "wide"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(one / f"{view}.png", photo)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    unknown = StoredRig(replace(rig, is_scale_known=False), None, None, None, quality, RigFacts())
+    write_stored_rig(tmp_path / "captures" / "rig.yaml", unknown)
+    words = ("depth", str(tmp_path / "captures"), "--run", str(tmp_path / "run"), "--method", "sgm", "--bokeh")
+    codes = []
+    for distance in ((), ("--distance", "160,120,1.5")):
+        with pytest.raises(SystemExit) as left:
+            main((*words, "--f-number", "1.8", *distance))
+        codes.append(left.value.code or 0)
+    assert codes == [2, 0]
+    assert (tmp_path / "run" / "depth" / "one" / "bokeh.jpg").is_file()
