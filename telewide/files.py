@@ -24,13 +24,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from telewide.errors import InputError, MissingPartError, TelewideError, UsageError
 from telewide.ranges import MAX_FILE_BYTES
-
-if TYPE_CHECKING:
-    from _typeshed import WriteableBuffer
 
 Content = TypeVar("Content")
 
@@ -81,7 +78,7 @@ def open_regular(path: Path) -> io.BufferedReader:
             takes no space), or cannot be opened.
     """
     try:
-        stream = _PromptFile(path, opener=_open_without_waiting)
+        stream = io.FileIO(path, opener=_open_without_waiting)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise UsageError(f"{path} does not exist") from error
     except IsADirectoryError as error:
@@ -93,6 +90,9 @@ def open_regular(path: Path) -> io.BufferedReader:
     if problem is not None:
         stream.close()
         raise InputError(f"{path} {problem}")
+    if found.st_size == 0:  # so call themselves files of /proc that have no end, or would be waited for
+        stream.close()
+        stream = io.FileIO(os.devnull)
     return io.BufferedReader(stream)
 
 
@@ -162,22 +162,6 @@ def _why_not_read(found: os.stat_result) -> str | None:
     if found.st_size > MAX_FILE_BYTES:
         return f"has {found.st_size} bytes; files of up to {MAX_FILE_BYTES >> 30} GiB are read"
     return None
-
-
-class _PromptFile(io.FileIO):
-    """A file that never says "try again later", as /proc/kmsg does, whose size and kind are those of an empty file."""
-
-    def readinto(self, buffer: WriteableBuffer, /) -> int:
-        n_bytes = super().readinto(buffer)
-        if n_bytes is None:
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        return n_bytes
-
-    def readall(self) -> bytes:
-        data: bytes | None = super().readall()
-        if data is None:
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        return data
 
 
 def _open_without_waiting(path: str, flags: int) -> int:

@@ -5,22 +5,30 @@ hangs, nothing grows beyond all measure.
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import socket
 import time
+import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from telewide import files
 from telewide.boards.board import load_board
 from telewide.calibration.rig_file import read_rig
 from telewide.capture.facts import read_facts
+from telewide.capture.formats import read_bytes
 from telewide.errors import InputError, TelewideError, UsageError
-from telewide.files import is_file, is_folder, is_there, once_a_file, read_regular, refuse_other_than_folder
+from telewide.files import (
+    fingerprint,
+    is_file,
+    is_folder,
+    is_there,
+    once_a_file,
+    read_regular,
+    refuse_other_than_folder,
+)
 from telewide.recipe import load_recipe
 from telewide.records import read_json
 from telewide.yaml_files import MAX_DEPTH, MAX_YAML_BYTES, parse_yaml, read_yaml
@@ -150,16 +158,23 @@ def test_a_device_is_no_file() -> None:
         read_regular(Path("/dev/zero"))
 
 
-def test_a_file_that_answers_later_is_an_error_at_once() -> None:
-    """As /proc/kmsg does, which calls itself a regular file of no bytes; a link to it may lie in a shared folder."""
-    reading, writing = os.pipe2(os.O_NONBLOCK)
-    with files._PromptFile(reading) as raw, pytest.raises(BlockingIOError):
-        raw.readall()
-    os.close(writing)
-    reading, writing = os.pipe2(os.O_NONBLOCK)
-    with io.BufferedReader(files._PromptFile(reading)) as stream, pytest.raises(BlockingIOError):
-        hashlib.file_digest(stream, "sha256")
-    os.close(writing)
+@pytest.mark.skipif(not Path("/proc/self/pagemap").exists(), reason="a file of Linux")
+def test_a_file_of_the_system_without_end_is_empty() -> None:
+    """It calls itself a regular file of no bytes, and holds 2^47; a link to it may lie in a shared folder."""
+    for path in (Path("/proc/self/pagemap"), Path("/proc/self/maps")):
+        assert read_regular(path) == b""
+        assert fingerprint(path) == hashlib.sha256().hexdigest()
+        with pytest.raises(InputError, match="is empty"):
+            read_bytes(path)
+
+
+def test_a_limit_far_above_a_file_asks_for_no_memory(tmp_path: Path) -> None:
+    (tmp_path / "x").write_bytes(b"content")
+    tracemalloc.start()
+    assert read_bytes(tmp_path / "x", at_most=1 << 31) == b"content"
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+    assert read_bytes(tmp_path / "x", at_most=3) == b"con"
 
 
 def test_a_file_that_is_not_there_is_a_usage_error(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from telewide.capture.pillow_photos import exif_of, open_photo
 from telewide.capture.raw import stored_hw
 from telewide.capture.sizes import read_hw
 from telewide.capture.tiff_tags import read_tags
-from telewide.errors import InputError
+from telewide.errors import InputError, within_memory
 from telewide.files import once_a_file, open_regular
 
 _IFD_EXIF, _NEW_SUBFILE = 34665, 254
@@ -111,7 +111,7 @@ def read_photo_facts(path: Path) -> PhotoFacts:
     """
     head = read_bytes(path, at_most=HEAD_BYTES)
     kind = format_by_head(path, head)
-    with open_regular(path) as stream:
+    with within_memory(str(path)), open_regular(path) as stream:
         if kind in {"TIFF", "RAW"}:
             tags, hw = _tags_of_tiff(stream)
             kind = "RAW" if TAG_DNG_VERSION in tags else kind
@@ -220,7 +220,7 @@ def _tags_of_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> tuple[Tag
     with warnings.catch_warnings(), suppress(*_DAMAGES):
         warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
         with open_photo(path, stream, kind) as photo:
-            exif = exif_of(photo)
+            exif = exif_of(photo, stream)
             found = (exif, exif.get_ifd(_IFD_EXIF))
             tags = {tag: value for ifd in found for tag in _WANTED if (value := ifd.get(tag)) is not None}
             return tags, read_hw((photo.height, photo.width))

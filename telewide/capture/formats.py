@@ -7,6 +7,7 @@ another RAW) is told by the suffix and the tag DNGVersion.
 from __future__ import annotations
 
 import logging
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -71,7 +72,8 @@ def read_bytes(path: Path, *, at_most: int = -1) -> bytes:
     """
     try:
         with open_regular(path) as stream:
-            data = stream.read(at_most)
+            n_bytes = os.fstat(stream.fileno()).st_size  # so much is set aside at once
+            data = stream.read(at_most if at_most < 0 else min(at_most, n_bytes + 1))
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     if not data:

@@ -6,6 +6,7 @@ HEIC turns itself upright when it is decoded, and its EXIF then says upright.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -20,7 +21,7 @@ from telewide.errors import InputError, MissingPartError, extra_hint
 from telewide.ranges import MAX_PIXELS
 
 _SDR_SRGB_PRIMARIES = {0, 1, 2}
-_MOST_EXIF_BYTES = 1 << 22
+_MOST_EXIF_BYTES, _MOST_CHUNKS = 1 << 22, 1 << 18
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
 _log = logging.getLogger("telewide")
 
@@ -81,19 +82,36 @@ def _limit_of_pillow(pixels: int | None) -> Iterator[None]:
         Image.MAX_IMAGE_PIXELS = limit
 
 
-def exif_of(photo: Image.Image) -> Image.Exif:
+def exif_of(photo: Image.Image, stream: BinaryIO | None = None) -> Image.Exif:
     """Return the EXIF of a photo; none where it is too long to be any, since each number in it becomes an object.
 
     Args:
         photo: open.
+        stream: its file, where it has not been decoded: Pillow would decode a PNG to look for EXIF behind the pixels.
 
     Raises:
         Exception: damaged EXIF, in a dozen ways.
     """
+    if photo.format == "PNG" and stream is not None and (found := _exif_of_png(stream)):
+        photo.info["exif"] = found
     stated = photo.info.get("exif")
     if isinstance(stated, bytes) and len(stated) > _MOST_EXIF_BYTES:
         return Image.Exif()
-    return photo.getexif()
+    return Image.Image.getexif(photo) if photo.format == "PNG" else photo.getexif()
+
+
+def _exif_of_png(stream: BinaryIO) -> bytes:
+    """Content of the chunk eXIf, wherever it stands (PNG, third edition, 11.3.4.3); empty without one, or too long."""
+    stream.seek(8)
+    for _ in range(_MOST_CHUNKS):
+        head = stream.read(8)
+        if len(head) < 8 or head.endswith(b"IEND"):
+            break
+        length = int.from_bytes(head[:4], "big")
+        if head.endswith(b"eXIf"):
+            return stream.read(length) if length <= _MOST_EXIF_BYTES else b""
+        stream.seek(length + 4, os.SEEK_CUR)  # its check sum too
+    return b""
 
 
 def _opened(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
