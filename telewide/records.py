@@ -43,6 +43,8 @@ _BYTES = {private: surrogate for surrogate, private in _PRIVATE.items()}
 
 Name = Annotated[str, AfterValidator(lambda text: text.translate(_BYTES))]
 """A text that holds the name of a file, which may be no UTF-8."""
+Line = Annotated[Name, AfterValidator(lambda text: text.replace("\n", "\\n"))]
+"""A sentence that is told to a person: line breaks in it are shown, for each could begin a message of its own."""
 Figure = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """A number that may be unknown: NaN in memory, null in JSON."""
 

@@ -16,6 +16,7 @@ from telewide.errors import InputError
 from telewide.records import (
     MAX_JSON_VALUES,
     Figure,
+    Line,
     Name,
     Points,
     Record,
@@ -135,6 +136,10 @@ def test_json_that_cannot_be_used_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=r"x\.json cannot be read as JSON"):
         read_json(path)
+
+
+def test_a_line_break_in_a_line_is_shown() -> None:
+    assert checked(parse_json(json.dumps("one\nerror: two")), Line) == "one\\nerror: two"
 
 
 def test_json_of_more_values_than_any_record_is_not_built() -> None:

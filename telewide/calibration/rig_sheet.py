@@ -18,6 +18,7 @@ from telewide.ranges import (
     MAX_SIDE_PX,
     MIN_BASELINE_M,
 )
+from telewide.records import Line
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -98,12 +99,12 @@ class TransformSheet(Options):
 class CheckSheet(Options):
     """One question and its answer."""
 
-    name: str
+    name: Line
     status: Status
     value: Number | None
     limit: Number | None
-    advice: str = ""
-    unit: str = ""
+    advice: Line = ""
+    unit: Line = ""
     bound: Bound = ""
 
 
@@ -124,10 +125,10 @@ class RigSheet(Options):
     """A whole rig file."""
 
     format: Literal[1] = 1
-    created_utc: str | None = None
+    created_utc: Line | None = None
     source: Literal["boards", "scenes"] = "boards"
-    board: str | None = None
-    image_pipeline: str | None = None
+    board: Line | None = None
+    image_pipeline: Line | None = None
     orientations: tuple[Orientation, Orientation] | None = None
     focus_distance_m: Positive | None = None
     scale_verified: bool = False
@@ -137,8 +138,8 @@ class RigSheet(Options):
     wide_from_tele: TransformSheet
     baseline_m: Positive
     n_joint_views: Annotated[int, Field(ge=0)] = 0
-    left_out: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    left_out: tuple[Line, ...] = ()
+    notes: tuple[Line, ...] = ()
     quality: QualitySheet
 
     @model_validator(mode="after")

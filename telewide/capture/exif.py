@@ -35,7 +35,7 @@ _WANTED |= {tag for date in _DATES for tag in date}
 _LONGEST_FOCAL_MM = 2000.0
 _FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _FARTHEST_M = 10_000.0
-_MOST_DIGITS = 9
+_MOST_DIGITS, _LONGEST_TEXT = 9, 100
 _INFINITY = 0xFFFFFFFF
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
 _KINDS = {"JPEG": "jpeg", "WEBP": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
@@ -300,10 +300,10 @@ def _distance_m(value: object) -> float | None:
 
 
 def _text(value: object) -> str | None:
-    """Return a text without the padding some cameras write."""
+    """Return a text of one line, without the padding some cameras write."""
     if isinstance(value, bytes):
         value = value.decode("utf-8", errors="replace")
-    return (value.replace("\0", " ").strip() or None) if isinstance(value, str) else None
+    return (" ".join(value.replace("\0", " ").split())[:_LONGEST_TEXT] or None) if isinstance(value, str) else None
 
 
 def _moment(tags: Tags) -> tuple[datetime | None, float | None]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from telewide.geometry.camera import focal_px_from_f35
+from telewide.records import Line
 
 RIG_TOLERANCE = 0.03
 """A rig and the matches of one pair that differ by more are not of one state of the lenses."""
@@ -36,7 +37,7 @@ class AsymmetryEstimate:
     exif: float | None
     factor: float | None
     source: Literal["rig", "matches", "exif"] | None
-    statements: tuple[str, ...]
+    statements: tuple[Line, ...]
 
 
 def compare_factors(

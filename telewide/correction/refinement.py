@@ -24,7 +24,7 @@ from telewide.points.epipolar import (
 )
 from telewide.points.matches import Matches, split_matches
 from telewide.points.robust import consensus_start, fit_robustly, numeric_jacobian
-from telewide.records import Figure, Vector
+from telewide.records import Figure, Line, Vector
 
 MIN_MATCHES = 20
 """Fewer matches than this carry no correction."""
@@ -87,7 +87,7 @@ class ShotRefinement:
     n_matches: int = 0
     is_fitted: bool = False
     is_at_once: bool = True
-    notes: tuple[str, ...] = ()
+    notes: tuple[Line, ...] = ()
 
 
 def refined_rig(rig: StereoRig, refinement: ShotRefinement) -> StereoRig:

@@ -33,7 +33,7 @@ from telewide.geometry.stereo import ValidMasks
 from telewide.points.bandwidth import estimate_asymmetry
 from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.points.similarity import Overlap, find_overlap
-from telewide.records import Figure, Name
+from telewide.records import Figure, Line, Name
 
 if TYPE_CHECKING:
     from telewide.capture.facts import CaptureFacts
@@ -85,7 +85,7 @@ class PairReport:
     disparity_p02_px: Figure
     disparity_p98_px: Figure
     verdict: Verdict
-    reasons: tuple[str, ...]
+    reasons: tuple[Line, ...]
 
 
 @dataclass(frozen=True)

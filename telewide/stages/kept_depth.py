@@ -14,7 +14,8 @@ from pydantic import Field, JsonValue
 from telewide.depth.export import NPZ_NAME
 from telewide.errors import TelewideError, UsageError
 from telewide.files import changing, is_file, is_folder, temporary_name
-from telewide.records import Figure, Name, Record, as_read, checked, read_json, read_record, write_record
+from telewide.records import Figure, Line, Name, Record, as_read, checked, read_json, read_record, write_record
+from telewide.text import shortened
 
 FORMAT = 4
 KEPT_NAME = "depth.json"
@@ -59,9 +60,9 @@ class KeptRecord(Record):
     source: Name | None = None
     files_bytes: dict[str, int | None] = Field(default_factory=dict)
     files: tuple[str, ...] = Field(default=(), exclude=True)
-    notes: tuple[Name, ...] = ()
+    notes: tuple[Line, ...] = ()
     numbers: dict[str, Figure] = Field(default_factory=dict)
-    withheld: Name | None = None
+    withheld: Line | None = None
 
 
 def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
@@ -119,7 +120,8 @@ def refuse_results_of_another(folder: Path, source: Path) -> None:
         return
     if made_of is not None and is_file(Path(made_of)) and not Path(made_of).samefile(source):
         raise UsageError(
-            f"{folder} holds the depth of another photo, {made_of}", hint="name another folder with `out` or `run`"
+            f"{folder} holds the depth of another photo, {shortened(made_of, most=300)}",
+            hint="name another folder with `out` or `run`",
         )
 
 

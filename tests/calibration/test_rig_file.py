@@ -168,3 +168,15 @@ def test_nothing_in_a_rig_file_is_run(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         read_rig(tmp_path / "rig.yaml")
     assert not (tmp_path / "made").exists()
+
+
+def test_a_line_break_in_what_somebody_wrote_begins_no_line(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = tmp_path / "rig.yaml"
+    write_stored_rig(path, stored(rng))
+    data = yaml.safe_load(path.read_text())
+    data |= {"notes": ["one\nerror: two"], "image_pipeline": "raw:\nerror: three", "left_out": ["a\nb"]}
+    path.write_text(yaml.safe_dump(data))
+    read = read_rig(path)
+    assert read.facts.notes == ("one\\nerror: two",)
+    assert read.facts.image_pipeline == "raw:\\nerror: three"
+    assert read.left_out == ("a\\nb",)

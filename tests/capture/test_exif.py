@@ -220,3 +220,13 @@ def test_exif_of_a_png_is_found_without_decoding_it(tmp_path: Path, place: str) 
     (tmp_path / "a.png").write_bytes(content[: pixels + 6] + b"damaged!" + content[pixels + 14 :])
     facts = read_photo_facts(tmp_path / "a.png")
     assert (facts.make, facts.orientation, facts.hw) == ("Maker", 6, (64, 48))
+
+
+def test_a_text_of_exif_is_one_short_line(tmp_path: Path) -> None:
+    """It stands in messages and tables, where a second line could say anything."""
+    exif = Image.Exif()
+    exif[271], exif[272] = "Maker\nerror: all is lost\t!", "x" * 60_000
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.jpg", exif=exif)
+    facts = read_photo_facts(tmp_path / "a.jpg")
+    assert facts.make == "Maker error: all is lost !"
+    assert facts.model == "x" * 100
