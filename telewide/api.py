@@ -18,6 +18,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import find_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
 from telewide.calibration.rig_file import StoredRig, read_rig, stored_rig, write_stored_rig
@@ -257,21 +258,27 @@ def render_bokeh(
     focus: str = "auto",
     strength_px: float | None = None,
     f_number: float | None = None,
+    equiv_focal_mm: float = 50.0,
+    aperture: Aperture = DISK,
+    highlights: float = 1.0,
 ) -> FloatMap:
     """Blur a photo as a wide-open lens would.
 
     Args:
         photo: (H, W, 3) float32 sRGB in [0, 1], the tele photo.
         depth: of :func:`estimate_depth`.
-        focus: "X,Y" in px of the photo, near, far or auto.
+        focus: "X,Y" in px of the photo, a distance such as "2.5m", near, far or auto.
         strength_px: radius of the strongest blur, px; None for 1.2 % of the longer side.
-        f_number: of an imitated 50 mm lens instead; needs a rig or facts that state the baseline.
+        f_number: of an imitated lens instead; needs a rig or facts that state the baseline.
+        equiv_focal_mm: focal length of that lens on 35 mm film.
+        aperture: shape of the opening: a disk or blades.
+        highlights: how many times as bright as white small clipped lights are taken to have been.
 
     Returns:
-        (H, W, 3) float32 sRGB.
+        (H, W, 3) float32 sRGB; above 1 where highlights are.
 
     Raises:
-        UsageError: an f-number without the baseline, or a focus outside of the photo.
+        UsageError: an f-number without the baseline, metres that are not known, or a focus outside of the photo.
 
     Example:
         >>> import telewide
@@ -280,9 +287,17 @@ def render_bokeh(
         >>> picture.shape == photos.tele.shape
         True
     """
-    options = BokehOptions(focus=focus, strength_px=strength_px, f_number=f_number)
-    found = find_focus(depth.disparity.disparity_px, depth.disparity.confidence, focus=focus)
-    return bokeh_picture(photo, depth.disparity, options=options, baseline_m=depth.baseline_m, focus=found)
+    options = BokehOptions(
+        focus=focus,
+        strength_px=strength_px,
+        f_number=f_number,
+        equiv_focal_mm=equiv_focal_mm,
+        aperture=aperture,
+        highlights=highlights,
+    )
+    maps = depth.disparity
+    found = find_focus(maps.disparity_px, maps.confidence, focus=focus, disparity_at_m=depth.disparity_at)
+    return bokeh_picture(photo, maps, options=options, baseline_m=depth.baseline_m, focus=found)
 
 
 def train(

@@ -1,4 +1,4 @@
-"""Focus of a picture: a point, the nearest or the farthest surface, or the subject in the middle.
+"""Focus of a picture: a point, a distance, the nearest or the farthest surface, or the subject in the middle.
 
 A surface is what lies within a slab of disparity; everything but a point is found from confident pixels alone.
 Letters: H W image.
@@ -7,7 +7,9 @@ Letters: H W image.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +26,8 @@ SLAB_SHARE, SLAB_MIN_PX = 0.1, 1.0
 """Thickness of the surface that "auto" looks for: a share of the scene's disparities, and at least so many px."""
 SUBJECT_SHARE = 0.12
 """A surface that fills so much of the middle is large enough to be the subject."""
+SUBJECT_ENDS = 0.02
+"""Of the subject, at either end of its depth, that may be blurred: mistakes."""
 _SLAB_STEPS = 8
 _MIDDLE = 12
 """The middle fades out from the centre as ``exp(-12 r^2)``, r from 0 to 1 at the sides: about their inner half."""
@@ -37,49 +41,79 @@ class Focus:
         disparity_px: of the plane of focus.
         x_px: column of the point of that plane nearest to where it was looked for.
         y_px: its row.
+        sharp_px: farthest and nearest disparity that are sharp with it: a subject in its depth; None for the plane.
     """
 
     disparity_px: float
     x_px: int
     y_px: int
+    sharp_px: tuple[float, float] | None = None
 
 
-def find_focus(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> Focus:
+def find_focus(
+    disparity_px: FloatMap,
+    confidence: FloatMap,
+    *,
+    focus: str,
+    disparity_at_m: Callable[[float], float] | None = None,
+) -> Focus:
     """Find what to focus on.
 
     Args:
         disparity_px: (H, W) float32, px, on the tele photo.
         confidence: (H, W) float32 in [0, 1].
-        focus: "X,Y", a point of the tele photo in px; "near" or "far", the nearest or farthest confident surface;
-            "auto", the nearest surface that fills an eighth of the middle of the photo, or else its largest one.
+        focus: "X,Y", a point of the tele photo in px; "2.5m", a distance along the optical axis; "near" or "far", the
+            nearest or farthest confident surface; "auto", the nearest surface that fills an eighth of the middle of the
+            photo, or else its largest one, sharp in its whole depth.
+        disparity_at_m: tells the disparity at a distance, px; None where metres are not known.
 
     Returns:
         The plane of focus, and a point that lies on it.
 
     Raises:
-        UsageError: the focus is none of these, or a point outside the photo.
+        UsageError: the focus is none of these, a point outside the photo, or a distance where metres are not known.
         InputError: the map holds no known value.
     """
     known = np.isfinite(disparity_px)
     if not known.any():
         raise InputError("the disparity map holds no known value")
-    point_xy = named_point(focus, hw=disparity_px.shape)
+    distance_m = named_distance_m(focus)
+    if distance_m is not None and disparity_at_m is None:
+        raise UsageError(f"focus {focus!r}: metres are not known of this shot", hint="name a point, near, far or auto")
+    point_xy = named_point(focus, hw=disparity_px.shape) if distance_m is None else None
     if point_xy is not None:
         return _at_point(disparity_px, known, point_xy)
-    word = _word(focus)
     trusted = known & (confidence >= CONFIDENT)
     if not trusted.any():
         trusted = known
-    if word == "auto":
-        focus_px = _subject_disparity(disparity_px, np.where(trusted, np.maximum(confidence, 1e-3), 0))
-    else:
-        percent = 100 - OUTLIER_PERCENT if word == "near" else OUTLIER_PERCENT
-        focus_px = float(np.percentile(disparity_px[trusted], percent))
-    return _placed(disparity_px, trusted, focus_px)
+    if distance_m is not None and disparity_at_m is not None:
+        return _placed(disparity_px, trusted, disparity_at_m(distance_m))
+    if _word(focus) == "auto":
+        return _on_subject(disparity_px, trusted, confidence)
+    percent = 100 - OUTLIER_PERCENT if _word(focus) == "near" else OUTLIER_PERCENT
+    return _placed(disparity_px, trusted, float(np.percentile(disparity_px[trusted], percent)))
+
+
+def named_distance_m(focus: str) -> float | None:
+    """Distance that a focus names, such as "2.5m"; None where it names none.
+
+    Args:
+        focus: as in :func:`find_focus`.
+
+    Raises:
+        UsageError: the distance is not above 0.
+    """
+    found = re.fullmatch(r"(\d*\.?\d+|\d+\.)\s*m", _word(focus))
+    if found is None:
+        return None
+    distance_m = float(found[1])
+    if not (math.isfinite(distance_m) and distance_m > 0):
+        raise UsageError(f"focus {focus!r}: a distance above 0 m was expected")
+    return distance_m
 
 
 def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | None:
-    """Column and row of the tele photo that a focus names; None for one of the words.
+    """Column and row of the tele photo that a focus names; None for a word or a distance.
 
     Args:
         focus: as in :func:`find_focus`.
@@ -88,14 +122,15 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
     Raises:
         UsageError: the focus is none of these, or a point outside the photo.
     """
-    if _word(focus) in FOCUS_WORDS:
+    if _word(focus) in FOCUS_WORDS or named_distance_m(focus) is not None:
         return None
     try:
         x, y = (float(part) for part in focus.split(","))
         column, row = math.floor(x + 0.5), math.floor(y + 0.5)
     except (ValueError, OverflowError):  # also of nan and inf
         raise UsageError(
-            f"focus {focus!r}: expected X,Y in pixels of the tele photo, or one of {', '.join(FOCUS_WORDS)}"
+            f"focus {focus!r}: expected X,Y in pixels of the tele photo, a distance such as 2.5m, or one of "
+            f"{', '.join(FOCUS_WORDS)}"
         ) from None
     if hw is not None and not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
         raise UsageError(
@@ -129,8 +164,9 @@ def _placed(disparity_px: FloatMap, trusted: BoolMap, focus_px: float) -> Focus:
     return Focus(focus_px, int(columns[nearest]), int(rows[nearest]))
 
 
-def _subject_disparity(disparity_px: FloatMap, weight: FloatMap) -> float:
-    """Median of the nearest slab of disparity that holds enough of the middle of the photo, or of the fullest one."""
+def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) -> Focus:
+    """The nearest slab of disparity that holds enough of the middle of the photo, or the fullest, sharp as a whole."""
+    weight = np.where(trusted, np.maximum(confidence, 1e-3), 0)
     height, width = disparity_px.shape
     y, x = np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None]
     central = weight * np.exp(-_MIDDLE * (x**2 + y**2))
@@ -141,11 +177,14 @@ def _subject_disparity(disparity_px: FloatMap, weight: FloatMap) -> float:
     slab_px = max(SLAB_SHARE * (near_px - far_px), SLAB_MIN_PX)
     start_px = _nearest_slab(value_px - far_px, share / share.sum(), slab_px=slab_px) + far_px
     in_slab = (value_px >= start_px) & (value_px <= start_px + slab_px)
-    return _weighted_median(value_px[in_slab], share[in_slab])
+    farthest_px, middle_px, nearest_px = _weighted_quantiles(
+        value_px[in_slab], share[in_slab], quantiles=(SUBJECT_ENDS, 0.5, 1 - SUBJECT_ENDS)
+    )
+    return replace(_placed(disparity_px, trusted, middle_px), sharp_px=(farthest_px, nearest_px))
 
 
 def _nearest_slab(value_px: FloatArray, share: FloatArray, *, slab_px: float) -> float:
-    """Far side of the slab of :func:`_subject_disparity`."""
+    """Far side of the slab of :func:`_on_subject`."""
     step_px = slab_px / _SLAB_STEPS
     histogram = np.bincount((value_px / step_px).astype(np.int64), weights=share)
     held = np.convolve(histogram, np.ones(_SLAB_STEPS))[_SLAB_STEPS - 1 :]  # by slab, named by its farthest step
@@ -156,7 +195,7 @@ def _nearest_slab(value_px: FloatArray, share: FloatArray, *, slab_px: float) ->
     return first * step_px
 
 
-def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+def _weighted_quantiles(values: FloatArray, weights: FloatArray, *, quantiles: tuple[float, ...]) -> list[float]:
     order = np.argsort(values)
     passed = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(passed, passed[-1] / 2)])
+    return [float(values[order][np.searchsorted(passed, share * passed[-1])]) for share in quantiles]

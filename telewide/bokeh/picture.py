@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from telewide.bokeh.focus import FOCUS_WORDS, Focus, find_focus, named_point
+from telewide.bokeh.aperture import DISK, Aperture
+from telewide.bokeh.focus import FOCUS_WORDS, Focus, find_focus, named_distance_m, named_point
 from telewide.bokeh.render import (
     LARGEST_RADIUS_SHARE,
     largest_step_px,
@@ -28,17 +29,30 @@ DEFAULT_STRENGTH_SHARE = 0.012
 
 @dataclass(frozen=True)
 class BokehOptions:
-    """Focus of a bokeh picture, and strength of its blur.
+    """Focus of a bokeh picture, strength of its blur, shape of its lights.
 
     Attributes:
-        focus: "X,Y" in px of the tele photo, near, far or auto.
+        focus: "X,Y" in px of the tele photo, a distance such as "2.5m", near, far or auto.
         strength_px: radius of the strongest blur, px; None for the default.
-        f_number: of an imitated 50 mm lens; needs the baseline.
+        strength_share: the same as a share of the photo's longer side.
+        f_number: of an imitated lens; needs the baseline.
+        equiv_focal_mm: focal length of that lens on 35 mm film.
+        aperture: shape of its opening.
+        highlights: how many times as bright as white small clipped lights are taken to have been.
     """
 
     focus: str = "auto"
     strength_px: float | None = None
+    strength_share: float | None = None
     f_number: float | None = None
+    equiv_focal_mm: float = 50.0
+    aperture: Aperture = DISK
+    highlights: float = 1.0
+
+    @property
+    def has_stated_strength(self) -> bool:
+        """Whether somebody asked for a certain blur."""
+        return any(strength is not None for strength in (self.f_number, self.strength_px, self.strength_share))
 
 
 def check_bokeh(
@@ -59,11 +73,21 @@ def check_bokeh(
         is_pinned: whether a known distance will give the rig its scale.
 
     Raises:
-        UsageError: an f-number without the lenses' distance, or a focus that is no word and no point of any tele photo.
+        UsageError: an f-number without the lenses' distance, a focus in metres where there are none, or a focus that is
+            no word and no point of any tele photo.
     """
     if bokeh is None:
         return
     stated_m = baseline_m if has_rig else captures.facts.baseline_m
+    has_metres = is_pinned or (stated_m is not None and (has_rig or captures.facts.f_px is not None))
+    if named_distance_m(bokeh.focus) is not None and not has_metres:
+        raise UsageError(
+            f"the focus {bokeh.focus} needs depth in metres, which "
+            + ("a rig without a scale does not give" if has_rig else "nothing stated of the captures gives"),
+            hint="pin the rig to a measured distance with `distance`, or name a point of the photo with `focus`"
+            if has_rig
+            else "state baseline_m and f_px in captures.yaml, or name a point of the photo with `focus`",
+        )
     if bokeh.f_number is not None and stated_m is None and not is_pinned:
         raise UsageError(
             f"`f_number` needs the distance of the two lenses, which {'the rig' if has_rig else 'captures.yaml'} does "
@@ -72,12 +96,16 @@ def check_bokeh(
             if has_rig
             else "state baseline_m in captures.yaml, or give the blur in pixels with `strength`",
         )
-    if named_point(bokeh.focus, hw=None) is None:
-        return
+    if named_point(bokeh.focus, hw=None) is not None:
+        _check_point(bokeh.focus, captures)
+
+
+def _check_point(focus: str, captures: CaptureSet) -> None:
+    """Refuse a point that lies in no tele photo."""
     refusal: UsageError | None = None
     for capture in captures.captures:
         try:
-            named_point(bokeh.focus, hw=read_photo_facts(capture.tele_path).hw)
+            named_point(focus, hw=read_photo_facts(capture.tele_path).hw)
         except UsageError as error:
             refusal = error
         except InputError:  # it is a problem of that capture, and said where the captures are read
@@ -88,16 +116,19 @@ def check_bokeh(
         raise refusal
 
 
-def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None) -> str | None:
+def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None, has_metres: bool = True) -> str | None:
     """Tell why one capture cannot have the bokeh asked for.
 
     Args:
         options: as asked for.
         baseline_m: distance of the lenses in this shot, m; None where it is not known.
+        has_metres: whether its depth is known in metres.
 
     Returns:
         One sentence, or None where nothing is missing.
     """
+    if named_distance_m(options.focus) is not None and not has_metres:
+        return "`focus` in metres needs a depth in metres, not known for this shot; a point of the photo needs none"
     if options.f_number is None or baseline_m is not None:
         return None
     return "`f_number` needs the distance of the two lenses, not known for this shot; `strength` gives the blur in px"
@@ -118,7 +149,7 @@ def focus_note(
     distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
     word = options.focus.strip().lower()
     ways = {
-        "auto": "the nearest large surface in the middle; `focus` X,Y, near or far chooses another",
+        "auto": "the nearest large surface in the middle, in its whole depth; `focus` X,Y, near or far chooses another",
         "near": "the nearest surface",
         "far": "the farthest surface",
     }
@@ -157,7 +188,13 @@ def bokeh_picture(
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
     radius_per_px = _radius_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
     return render_bokeh(
-        photo, disparity.disparity_px, focus_disparity_px=focus.disparity_px, radius_per_px=radius_per_px
+        photo,
+        disparity.disparity_px,
+        focus_disparity_px=focus.disparity_px,
+        radius_per_px=radius_per_px,
+        sharp_px=focus.sharp_px,
+        aperture=options.aperture,
+        highlights=options.highlights,
     )
 
 
@@ -173,10 +210,10 @@ def held_back_note(
         options: focus and strength.
         baseline_m: distance of the lenses, m; None where it is not known.
     """
-    if options.f_number is None and options.strength_px is None:
+    if not options.has_stated_strength:
         return None
     radius_per_px = _radius_per_px(disparity_px, focus, options=options, baseline_m=baseline_m)
-    asked_px = radius_per_px * largest_step_px(disparity_px, focus.disparity_px)
+    asked_px = radius_per_px * largest_step_px(disparity_px, focus.disparity_px, sharp_px=focus.sharp_px)
     cap_px = LARGEST_RADIUS_SHARE * min(disparity_px.shape)
     if not asked_px > cap_px:
         return None
@@ -188,8 +225,11 @@ def held_back_note(
 
 def _radius_per_px(disparity_px: FloatMap, focus: Focus, *, options: BokehOptions, baseline_m: float | None) -> float:
     if options.f_number is not None and baseline_m is not None:
-        return radius_per_px_from_f_number(f_number=options.f_number, baseline_m=baseline_m)
-    strength_px = options.strength_px
-    if strength_px is None:
-        strength_px = DEFAULT_STRENGTH_SHARE * max(disparity_px.shape)
-    return radius_per_px_from_strength(disparity_px, focus.disparity_px, strength_px=strength_px)
+        return radius_per_px_from_f_number(
+            f_number=options.f_number, baseline_m=baseline_m, equiv_focal_mm=options.equiv_focal_mm
+        )
+    share = DEFAULT_STRENGTH_SHARE if options.strength_share is None else options.strength_share
+    strength_px = share * max(disparity_px.shape) if options.strength_px is None else options.strength_px
+    return radius_per_px_from_strength(
+        disparity_px, focus.disparity_px, strength_px=strength_px, sharp_px=focus.sharp_px
+    )

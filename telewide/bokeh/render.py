@@ -13,7 +13,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import OUTLIER_PERCENT
+from telewide.bokeh.highlights import with_highlights
 from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
 from telewide.cores import usable_cores
 from telewide.depth.edges import fill_unknown
@@ -26,7 +28,14 @@ STRIP_ROWS = 128
 
 
 def render_bokeh(
-    image_srgb: FloatImage, disparity_px: FloatMap, *, focus_disparity_px: float, radius_per_px: float
+    image_srgb: FloatImage,
+    disparity_px: FloatMap,
+    *,
+    focus_disparity_px: float,
+    radius_per_px: float,
+    sharp_px: tuple[float, float] | None = None,
+    aperture: Aperture = DISK,
+    highlights: float = 1.0,
 ) -> FloatImage:
     """Blur a sharp photo as a wide-open lens would, focused at one disparity.
 
@@ -37,12 +46,16 @@ def render_bokeh(
         disparity_px: (H, W) float32, px, on the photo; what is not finite is filled from its nearest neighbour.
         focus_disparity_px: the disparity that stays sharp, px.
         radius_per_px: radius of the circle of confusion per px of disparity away from the focus, >= 0.
+        sharp_px: farthest and nearest disparity that stay sharp with it, from which the blur then counts; None for the
+            focus alone.
+        aperture: shape of the opening.
+        highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
 
     Returns:
-        (H, W, 3) float32, in the range of the input.
+        (H, W, 3) float32, in the range of the input; above it only where highlights are.
 
     Raises:
-        UsageError: focus or radius is not a finite number, or the radius is negative.
+        UsageError: focus, radius or highlights are no finite numbers, or below their least.
         InputError: the disparity has another size than the photo, or no known value.
     """
     if not (math.isfinite(radius_per_px) and radius_per_px >= 0 and math.isfinite(focus_disparity_px)):
@@ -52,12 +65,12 @@ def render_bokeh(
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
     cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
-    radius_px = np.clip((fill_unknown(disparity_px) - focus_disparity_px) * radius_per_px, -cap_px, cap_px)
-    radius_px = radius_px.astype(np.float32)
+    away_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
+    radius_px = np.clip(away_px * radius_per_px, -cap_px, cap_px).astype(np.float32)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
         return image_srgb.astype(np.float32, copy=True)
-    light = _by_strips(linear_from_srgb, image_srgb)
-    return _by_strips(srgb_from_linear, spread_light(light, radius_px))
+    light = with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights)
+    return _by_strips(srgb_from_linear, spread_light(light, radius_px, aperture=aperture))
 
 
 def _by_strips(convert: Callable[[FloatImage], FloatImage], image: FloatImage) -> FloatImage:
@@ -72,13 +85,34 @@ def _by_strips(convert: Callable[[FloatImage], FloatImage], image: FloatImage) -
     return converted
 
 
-def radius_per_px_from_strength(disparity_px: FloatMap, focus_disparity_px: float, *, strength_px: float) -> float:
+def away_from_focus_px(
+    disparity_px: FloatMap, focus_disparity_px: float, sharp_px: tuple[float, float] | None
+) -> FloatMap:
+    """Subtract what is sharp: how far each disparity lies before (positive) or behind it, px.
+
+    Args:
+        disparity_px: any shape, px.
+        focus_disparity_px: the disparity that stays sharp.
+        sharp_px: farthest and nearest disparity that stay sharp with it; None for the focus alone.
+    """
+    far_px, near_px = sharp_px or (focus_disparity_px, focus_disparity_px)
+    return np.asarray(disparity_px - np.clip(disparity_px, far_px, near_px), dtype=np.float32)
+
+
+def radius_per_px_from_strength(
+    disparity_px: FloatMap,
+    focus_disparity_px: float,
+    *,
+    strength_px: float,
+    sharp_px: tuple[float, float] | None = None,
+) -> float:
     """Blur per px of disparity that gives the pixels farthest from the focus a wanted radius.
 
     Args:
         disparity_px: (H, W) float32, px; the nearest and the farthest 0.5 % are taken for mistakes.
         focus_disparity_px: the disparity that stays sharp, px.
         strength_px: radius of the circle of confusion where ``|d - d_focus|`` is largest, px.
+        sharp_px: farthest and nearest disparity that stay sharp with it; None for the focus alone.
 
     Returns:
         px of radius per px of disparity; 0 where everything is in focus.
@@ -88,16 +122,19 @@ def radius_per_px_from_strength(disparity_px: FloatMap, focus_disparity_px: floa
     """
     if not (math.isfinite(strength_px) and strength_px >= 0):
         raise UsageError(f"bokeh strength {strength_px} px: expected a radius of 0 px or more")
-    span_px = largest_step_px(disparity_px, focus_disparity_px)
+    span_px = largest_step_px(disparity_px, focus_disparity_px, sharp_px=sharp_px)
     return strength_px / span_px if span_px > 0 else 0.0
 
 
-def largest_step_px(disparity_px: FloatMap, focus_disparity_px: float) -> float:
+def largest_step_px(
+    disparity_px: FloatMap, focus_disparity_px: float, *, sharp_px: tuple[float, float] | None = None
+) -> float:
     """Measure how far from the focus disparities reach, px; the nearest and the farthest 0.5 % are taken for mistakes.
 
     Args:
         disparity_px: (H, W), px.
         focus_disparity_px: the disparity that stays sharp.
+        sharp_px: farthest and nearest disparity that stay sharp with it; None for the focus alone.
 
     Raises:
         InputError: the map holds no known value.
@@ -106,7 +143,7 @@ def largest_step_px(disparity_px: FloatMap, focus_disparity_px: float) -> float:
     if len(known_px) == 0:
         raise InputError("the disparity map holds no known value")
     ends_px = np.percentile(known_px, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT))
-    return float(np.abs(ends_px - focus_disparity_px).max())
+    return float(np.abs(away_from_focus_px(ends_px, focus_disparity_px, sharp_px)).max())
 
 
 def radius_per_px_from_f_number(*, f_number: float, baseline_m: float, equiv_focal_mm: float = 50.0) -> float:

@@ -41,14 +41,6 @@ DistanceOption = Annotated[
     ),
 ]
 SeedOption = Annotated[int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of weights and samples.")]
-FocusOption = Annotated[str, typer.Option(metavar="X,Y|near|far|auto", help="What is sharp in the bokeh.")]
-FNumberOption = Annotated[
-    float | None, typer.Option(help="Aperture of the 50 mm lens to imitate; needs the lenses' distance.")
-]
-StrengthOption = Annotated[
-    float | None,
-    typer.Option(metavar="PX", help="Radius of the strongest blur, px. [default: 1.2 % of the longer side]"),
-]
 
 
 def refuse_filled(folder: Path) -> None:

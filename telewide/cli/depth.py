@@ -11,13 +11,19 @@ from telewide.cli.arguments import (
     CapturesArgument,
     DeviceOption,
     DistanceOption,
-    FNumberOption,
-    FocusOption,
     JsonOption,
     MethodOption,
     OnlyOption,
     QuietOption,
     RigOption,
+)
+from telewide.cli.bokeh import (
+    BladesOption,
+    BokehWords,
+    EquivFocalOption,
+    FNumberOption,
+    FocusOption,
+    HighlightsOption,
     StrengthOption,
 )
 from telewide.cli.console import console_observer, hand_over, typed
@@ -48,7 +54,10 @@ def depth(
     bokeh: Annotated[bool, typer.Option("--bokeh", help="Make bokeh.jpg as well.")] = False,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,
+    f35_mm: EquivFocalOption = None,
     strength: StrengthOption = None,
+    blades: BladesOption = None,
+    highlights: HighlightsOption = 1.0,
     rig: RigOption = None,
     distance: DistanceOption = None,
     only: OnlyOption = None,
@@ -58,18 +67,14 @@ def depth(
     quiet: QuietOption = False,
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
-    if not bokeh and (focus != "auto" or f_number is not None or strength is not None):
-        raise UsageError("--focus, --f-number and --strength shape the bokeh picture", hint="add --bokeh")
-    if method == "sgm" and weights is not None:
-        raise UsageError(
-            "--method sgm matches without a network, and --weights names one", hint="leave one of them out"
-        )
-    if method == "sgm" and device == "cuda":
-        raise UsageError("--method sgm runs on the processor, not on a GPU", hint="leave --device out")
+    words = BokehWords(
+        focus=focus, f_number=f_number, f35_mm=f35_mm, strength=strength, blades=blades, highlights=highlights
+    )
+    _refuse_beside_sgm(method, weights, device)
     options = depth_options(
         method=method,
         weights=weights,
-        bokeh=bokeh_options(focus=focus, f_number=f_number, strength=strength) if bokeh else None,
+        bokeh=words.options_if(is_asked=bokeh),
         out=out,
         device=device,
         rig=rig,
@@ -84,6 +89,18 @@ def depth(
         done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
         say_depth(done, observer)
     hand_over(depth_as_json(done, observer), failure=why_not_good(done), as_json=as_json)
+
+
+def _refuse_beside_sgm(method: Method, weights: Path | None, device: Device) -> None:
+    """Refuse what belongs to a network where none is used."""
+    if method != "sgm":
+        return
+    if weights is not None:
+        raise UsageError(
+            "--method sgm matches without a network, and --weights names one", hint="leave one of them out"
+        )
+    if device == "cuda":
+        raise UsageError("--method sgm runs on the processor, not on a GPU", hint="leave --device out")
 
 
 def depth_options(
@@ -129,27 +146,6 @@ def depth_options(
         trusts_focus=trusts_focus,
         only=only,
     )
-
-
-def bokeh_options(*, focus: str, f_number: float | None, strength: float | None) -> BokehOptions:
-    """Turn words of the command line into the options of the bokeh picture.
-
-    Args:
-        focus: as given to ``--focus``.
-        f_number: of the lens to imitate, or None.
-        strength: radius of the strongest blur, px, or None.
-
-    Raises:
-        UsageError: two strengths, or one that is not above 0.
-    """
-    from telewide.bokeh.picture import BokehOptions
-
-    if f_number is not None and strength is not None:
-        raise UsageError("--f-number and --strength both say how strong the blur is; give one of them")
-    for name, value in (("--f-number", f_number), ("--strength", strength)):
-        if value is not None and not value > 0:
-            raise UsageError(f"{name} {value}: a number above 0 was expected")
-    return BokehOptions(focus=focus, strength_px=strength, f_number=f_number)
 
 
 def say_depth(done: DepthRun, observer: ConsoleObserver) -> None:

@@ -10,8 +10,6 @@ from telewide.cli.arguments import (
     CapturesArgument,
     DeviceOption,
     DistanceOption,
-    FNumberOption,
-    FocusOption,
     JsonOption,
     QuietOption,
     RecipeOption,
@@ -19,10 +17,18 @@ from telewide.cli.arguments import (
     RunFolderOption,
     SeedOption,
     SetOption,
+)
+from telewide.cli.bokeh import (
+    BladesOption,
+    BokehWords,
+    EquivFocalOption,
+    FNumberOption,
+    FocusOption,
+    HighlightsOption,
     StrengthOption,
 )
 from telewide.cli.console import console_observer, hand_over, typed
-from telewide.cli.depth import bokeh_options, depth_as_json, depth_options, say_depth, why_not_good
+from telewide.cli.depth import depth_as_json, depth_options, say_depth, why_not_good
 
 RUN_EPILOG = "Example: `telewide run captures/ --recipe quick`"
 
@@ -36,7 +42,10 @@ def run_everything(
     settings: SetOption = None,
     focus: FocusOption = "auto",
     f_number: FNumberOption = None,
+    f35_mm: EquivFocalOption = None,
     strength: StrengthOption = None,
+    blades: BladesOption = None,
+    highlights: HighlightsOption = 1.0,
     rig: RigOption = None,
     distance: DistanceOption = None,
     device: DeviceOption = "auto",
@@ -48,10 +57,13 @@ def run_everything(
     from telewide.pipeline import run_captures
     from telewide.recipe import load_recipe
 
+    words = BokehWords(
+        focus=focus, f_number=f_number, f35_mm=f35_mm, strength=strength, blades=blades, highlights=highlights
+    )
     options = depth_options(
         method="network",
         weights=None,
-        bokeh=bokeh_options(focus=focus, f_number=f_number, strength=strength),
+        bokeh=words.options(),
         out=None,
         device=device,
         rig=rig,

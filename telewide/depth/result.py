@@ -7,6 +7,7 @@ Letters: H W image.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +45,14 @@ class DepthResult:
     distortion: FloatArray | None = None
     doffs_px: float = 0.0
     rotated_deg: int = 0
+
+    @property
+    def disparity_at(self) -> Callable[[float], float] | None:
+        """Function from a depth, m, to its disparity, px; None where metres are not known."""
+        if self.depth_m is None or self.K is None or self.baseline_m is None:
+            return None
+        f_times_baseline = float(self.K[0, 0]) * self.baseline_m
+        return lambda depth_m: f_times_baseline / depth_m - self.doffs_px
 
 
 def depth_result(name: str, disparity: DisparityMap, *, facts: CaptureFacts | None = None) -> DepthResult:

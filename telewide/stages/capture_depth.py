@@ -246,10 +246,15 @@ def _blurred(
     photo: FloatMap, result: DepthResult, bokeh: BokehOptions
 ) -> tuple[FloatMap | None, tuple[str, ...], dict[str, float]]:
     """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
-    refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m)
+    refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m, has_metres=result.depth_m is not None)
     if refusal is not None:
         return None, (_no_bokeh_note(result.name, refusal),), {}
-    focus = find_focus(result.disparity.disparity_px, result.disparity.confidence, focus=bokeh.focus)
+    focus = find_focus(
+        result.disparity.disparity_px,
+        result.disparity.confidence,
+        focus=bokeh.focus,
+        disparity_at_m=result.disparity_at,
+    )
     picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
     focused = _focus_numbers(focus, result)
     depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")

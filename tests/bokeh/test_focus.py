@@ -71,7 +71,22 @@ def test_focus_outside_the_photo_is_a_usage_error(scene_px: np.ndarray, focus: s
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
 
 
-@pytest.mark.parametrize("focus", ["", "nearest", "12", "1,2,3", "a,b", "nan,3", "3,inf"])
+def test_a_distance_is_the_plane_at_it(scene_px: np.ndarray) -> None:
+    confidence = np.ones_like(scene_px)
+    focus = find_focus(scene_px, confidence, focus="2.5 m", disparity_at_m=lambda depth_m: 30 / depth_m)
+    assert focus.disparity_px == pytest.approx(12)
+    assert scene_px[focus.y_px, focus.x_px] == 12
+    with pytest.raises(UsageError, match="metres are not known"):
+        find_focus(scene_px, confidence, focus="2.5m")
+
+
+@pytest.mark.parametrize("focus", ["0m", "0.0 m"])
+def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
+    with pytest.raises(UsageError, match="above 0 m"):
+        find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: depth_m)
+
+
+@pytest.mark.parametrize("focus", ["", "nearest", "-2m", "1,2m", "m", "12", "1,2,3", "a,b", "nan,3", "3,inf"])
 def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="X,Y"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
@@ -99,12 +114,24 @@ def test_auto_takes_what_stands_before_the_wall_though_the_wall_is_larger_and_fl
     assert abs(disparity_px[focus.y_px, focus.x_px] - focus.disparity_px) < 0.5
 
 
+def test_auto_keeps_the_whole_subject_sharp_and_blurs_the_rest(rng: np.random.Generator) -> None:
+    y, x = np.mgrid[-1:1:120j, -1.5:1.5:180j]
+    ball = np.hypot(x, y) < 0.5
+    disparity_px = np.where(ball, 30 + 4 * np.sqrt(np.maximum(0.25 - x**2 - y**2, 0)), 6).astype(np.float32)
+    photo = rng.random((*ball.shape, 3), dtype=np.float32)
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(ball.shape, np.bool_))
+    picture = bokeh_picture(photo, maps, options=BokehOptions(strength_px=8.0), baseline_m=None)
+    well_inside = np.hypot(x, y) < 0.4
+    np.testing.assert_allclose(picture[well_inside], photo[well_inside], atol=1e-4)
+    assert picture[~ball].std() < 0.5 * photo[~ball].std()
+
+
 def test_auto_takes_the_wall_where_nothing_large_stands_before_it() -> None:
     disparity_px = np.full((120, 180), 6.0, np.float32)
     disparity_px[:, 88:91] = 40.0  # a rod
     disparity_px[80:, :30] = 30.0  # a box in the corner
     focus = find_focus(disparity_px, np.ones_like(disparity_px), focus="auto")
-    assert focus == Focus(6.0, 91, 59)
+    assert focus == Focus(6.0, 91, 59, sharp_px=(6.0, 6.0))
 
 
 def test_auto_does_not_take_what_is_not_trusted(rng: np.random.Generator) -> None:

@@ -1,0 +1,128 @@
+"""Words of the command line that shape the bokeh picture, said alike by several commands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from telewide.errors import UsageError
+
+if TYPE_CHECKING:
+    from telewide.bokeh.aperture import Aperture
+    from telewide.bokeh.picture import BokehOptions
+
+FocusOption = Annotated[str, typer.Option(metavar="X,Y|2.5m|near|far|auto", help="What is sharp in the bokeh.")]
+FNumberOption = Annotated[
+    float | None, typer.Option(help="Aperture of the lens to imitate; needs the lenses' distance.")
+]
+EquivFocalOption = Annotated[
+    float | None,
+    typer.Option("--equiv-focal", metavar="MM", help="Its focal length on 35 mm film; with --f-number. [default: 50]"),
+]
+StrengthOption = Annotated[
+    str | None,
+    typer.Option(metavar="PX|SHARE%", help="Radius of the strongest blur, px or % of the longer side. [default: 1.2%]"),
+]
+BladesOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="N[,ROUND[,DEG]]",
+        help="Blades of the opening, how round they are (0 to 1), and how far it is turned. [default: a disk]",
+    ),
+]
+HighlightsOption = Annotated[
+    float, typer.Option(metavar="TIMES", help="How much brighter than white small clipped lights were; 8, say.")
+]
+
+
+@dataclass(frozen=True)
+class BokehWords:
+    """The words as they were given; the defaults are those of the commands."""
+
+    focus: str = "auto"
+    f_number: float | None = None
+    f35_mm: float | None = None
+    strength: str | None = None
+    blades: str | None = None
+    highlights: float = 1.0
+
+    def options(self) -> BokehOptions:
+        """Turn them into the options of the bokeh picture.
+
+        Raises:
+            UsageError: two strengths, one that is not above 0, or a word that is none of the known ones.
+        """
+        from telewide.bokeh.aperture import DISK
+        from telewide.bokeh.highlights import MAX_TIMES
+        from telewide.bokeh.picture import BokehOptions
+
+        if self.f_number is not None and self.strength is not None:
+            raise UsageError("--f-number and --strength both say how strong the blur is; give one of them")
+        if self.f35_mm is not None and self.f_number is None:
+            raise UsageError("--equiv-focal is of the lens that --f-number imitates", hint="add --f-number")
+        for name, value in (("--f-number", self.f_number), ("--equiv-focal", self.f35_mm)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise UsageError(f"{name} {value}: a number above 0 was expected")
+        if not 1 <= self.highlights <= MAX_TIMES:
+            raise UsageError(f"--highlights {self.highlights}: a factor from 1 to {MAX_TIMES:g} was expected")
+        strength_px, strength_share = (None, None) if self.strength is None else _strength(self.strength)
+        return BokehOptions(
+            focus=self.focus,
+            strength_px=strength_px,
+            strength_share=strength_share,
+            f_number=self.f_number,
+            equiv_focal_mm=self.f35_mm or BokehOptions.equiv_focal_mm,
+            aperture=DISK if self.blades is None else _aperture(self.blades),
+            highlights=self.highlights,
+        )
+
+    def options_if(self, *, is_asked: bool) -> BokehOptions | None:
+        """Return the options where a picture is asked for; elsewhere None, and words that shape it are refused.
+
+        Args:
+            is_asked: whether it is.
+
+        Raises:
+            UsageError: as of :meth:`options`, or words that shape nothing.
+        """
+        if is_asked:
+            return self.options()
+        if self != BokehWords():
+            raise UsageError(
+                "--focus, --f-number, --equiv-focal, --strength, --blades and --highlights shape the bokeh picture",
+                hint="add --bokeh",
+            )
+        return None
+
+
+def _strength(text: str) -> tuple[float | None, float | None]:
+    """Radius in px, or as a share of the longer side."""
+    number, is_share = text.strip().removesuffix("%"), text.strip().endswith("%")
+    try:
+        value = float(number)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError(
+            f"--strength {text}: a radius above 0 was expected, in px or, such as 1.5%, of the longer side"
+        )
+    return (None, value / 100) if is_share else (value, None)
+
+
+def _aperture(text: str) -> Aperture:
+    """Opening of so many blades."""
+    from telewide.bokeh.aperture import Aperture
+
+    parts = text.split(",")
+    try:
+        blades, curvature, rotation_deg = int(parts[0]), *(float(part) for part in [*parts[1:], "0", "0"][:2])
+    except ValueError:
+        parts = []
+    if not 1 <= len(parts) <= 3:
+        raise UsageError(
+            f"--blades {text}: their number was expected, then how round they are and how far turned, such as 7,0.3,15"
+        )
+    return Aperture(blades=blades, curvature=curvature, rotation_deg=rotation_deg)

@@ -1,0 +1,64 @@
+"""Words of the command line that shape a bokeh picture."""
+
+from __future__ import annotations
+
+import pytest
+
+from telewide.bokeh.aperture import DISK, Aperture
+from telewide.bokeh.picture import BokehOptions
+from telewide.cli.bokeh import BokehWords
+from telewide.errors import UsageError
+
+
+def test_no_words_are_the_defaults() -> None:
+    assert BokehWords().options() == BokehOptions()
+    assert BokehWords().options_if(is_asked=True) == BokehOptions()
+    assert BokehWords().options_if(is_asked=False) is None
+
+
+def test_words_become_options() -> None:
+    lens = BokehWords(focus="1.8m", f_number=1.4, f35_mm=85, blades="7,0.3,15", highlights=8).options()
+    assert lens == BokehOptions(
+        focus="1.8m",
+        f_number=1.4,
+        equiv_focal_mm=85,
+        aperture=Aperture(blades=7, curvature=0.3, rotation_deg=15),
+        highlights=8,
+    )
+    assert BokehWords(strength="24").options() == BokehOptions(strength_px=24)
+    assert BokehWords(strength="1.5%").options() == BokehOptions(strength_share=0.015)
+    assert BokehWords(blades="6").options().aperture == Aperture(blades=6)
+    assert BokehWords().options().aperture is DISK
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ({"strength": "0"}, "--strength"),
+        ({"strength": "-3%"}, "--strength"),
+        ({"strength": "much"}, "--strength"),
+        ({"strength": "nan"}, "--strength"),
+        ({"strength": "9", "f_number": 2.0}, "--f-number and --strength"),
+        ({"f_number": 0.0}, "--f-number"),
+        ({"f_number": float("inf")}, "--f-number"),
+        ({"f35_mm": 50.0}, "--f-number"),
+        ({"f35_mm": -1.0, "f_number": 2.0}, "--equiv-focal"),
+        ({"blades": "seven"}, "--blades"),
+        ({"blades": "7,0.3,15,2"}, "--blades"),
+        ({"blades": ""}, "--blades"),
+        ({"blades": "3"}, "3 blades"),
+        ({"blades": "7,2"}, "curvature"),
+        ({"highlights": 0.0}, "--highlights"),
+        ({"highlights": float("nan")}, "--highlights"),
+    ],
+)
+def test_words_that_shape_nothing_are_refused(words: dict[str, object], named: str) -> None:
+    with pytest.raises(UsageError, match=named):
+        BokehWords(**words).options()
+
+
+@pytest.mark.parametrize("words", [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}])
+def test_words_without_a_picture_are_refused(words: dict[str, object]) -> None:
+    with pytest.raises(UsageError, match="bokeh picture") as refusal:
+        BokehWords(**words).options_if(is_asked=False)
+    assert "--bokeh" in (refusal.value.hint or "")
