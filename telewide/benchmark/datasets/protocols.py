@@ -19,6 +19,7 @@ from pydantic import Field
 from telewide.benchmark.datasets.catalogue import DATA_SETS, DataSet, Views, find_data_set, locate, missing_note
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.errors import InputError, UsageError, unknown_name
+from telewide.files import once_a_file
 from telewide.matching.window import Window
 from telewide.options import Options, parse_options
 from telewide.yaml_files import read_yaml
@@ -105,6 +106,11 @@ def load_protocols(*, path: Path = PROTOCOLS_FILE) -> dict[str, Protocol]:
         UsageError: there is no such file.
         InputError: no YAML, an unknown key, or a wrong value.
     """
+    return {**_read_protocols(path)}
+
+
+@once_a_file
+def _read_protocols(path: Path) -> dict[str, Protocol]:
     return parse_options(_ProtocolFile, read_yaml(path) or {}, source=str(path), error=InputError).protocols
 
 

@@ -98,6 +98,7 @@ class Cells:
     out: Path
     tell: Tell
     problems: list[str] = field(default_factory=list)
+    _folders: dict[tuple[str, str, int], Path] = field(default_factory=dict)
     _fingerprints: dict[tuple[str, str, str], str] = field(default_factory=dict)
 
     def rows(self, plans: Sequence[CellPlan]) -> Iterator[tuple[CellPlan, list[Row]]]:
@@ -147,7 +148,13 @@ class Cells:
 
     def folder(self, plan: CellPlan) -> Path:
         """Folder of a cell."""
-        digest = hashlib.sha256(json.dumps(self.key(plan), sort_keys=True).encode()).hexdigest()[:24]
+        place = (plan.system.name, plan.column.heading, plan.task.seed)
+        if place not in self._folders:
+            self._folders[place] = self._folder_of(self.key(plan))
+        return self._folders[place]
+
+    def _folder_of(self, key: Mapping[str, object]) -> Path:
+        digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()[:24]
         return self.out / "cells" / digest
 
     def _rows(self, plan: CellPlan, *, waits: bool) -> list[Row]:
@@ -158,7 +165,8 @@ class Cells:
             return []
 
     def _kept_or_computed(self, plan: CellPlan, *, waits: bool) -> list[Row]:
-        key, folder = self.key(plan), self.folder(plan)
+        key = self.key(plan)
+        folder = self._folder_of(key)
         if (rows := _kept(folder / CELL_FILE, key)) is not None:
             return rows
         folder.mkdir(parents=True, exist_ok=True)

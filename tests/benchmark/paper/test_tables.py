@@ -8,6 +8,7 @@ import pytest
 
 from telewide.benchmark.damages import load_damages
 from telewide.benchmark.datasets.protocols import find_protocol
+from telewide.benchmark.paper.systems import SYSTEMS
 from telewide.benchmark.paper.tables import Published, find_table, load_tables
 from telewide.errors import InputError, UsageError
 
@@ -32,11 +33,11 @@ def test_values_stand_where_they_are_published() -> None:
 
 def test_what_tables_name_exists() -> None:
     damages = load_damages().damages
-    for table in load_tables().values():
-        for column in table.columns:
-            assert column.damage in damages
-            for protocol in (*column.test, *column.training):
-                find_protocol(protocol)
+    columns = [column for table in load_tables().values() for column in table.columns]
+    assert {column.damage for column in columns} <= damages.keys()
+    for protocol in {name for column in columns for name in (*column.test, *column.training)}:
+        find_protocol(protocol)
+    assert {system for table in load_tables().values() for system in table.rows} <= SYSTEMS.keys()
 
 
 def test_slips(tmp_path: Path) -> None:
