@@ -220,7 +220,7 @@ def _tags_of_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> tuple[Tag
     with warnings.catch_warnings(), suppress(*_DAMAGES):
         warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
         with open_photo(path, stream, kind) as photo:
-            exif = exif_of(photo, stream)
+            exif = exif_of(photo, stream=stream)
             found = (exif, exif.get_ifd(_IFD_EXIF))
             tags = {tag: value for ifd in found for tag in _WANTED if (value := ifd.get(tag)) is not None}
             return tags, read_hw((photo.height, photo.width))

@@ -82,7 +82,7 @@ def _limit_of_pillow(pixels: int | None) -> Iterator[None]:
         Image.MAX_IMAGE_PIXELS = limit
 
 
-def exif_of(photo: Image.Image, stream: BinaryIO | None = None) -> Image.Exif:
+def exif_of(photo: Image.Image, *, stream: BinaryIO | None = None) -> Image.Exif:
     """Return the EXIF of a photo; none where it is too long to be any, since each number in it becomes an object.
 
     Args:

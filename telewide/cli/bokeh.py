@@ -24,7 +24,9 @@ EquivFocalOption = Annotated[
 ]
 StrengthOption = Annotated[
     str | None,
-    typer.Option(metavar="PX|SHARE%", help="Radius of the strongest blur, px or % of the longer side. [default: 1.2%]"),
+    typer.Option(
+        metavar="PX|SHARE%", help="Radius of the strongest blur, px or %. [default: 1.2 % of the longer side]"
+    ),
 ]
 BladesOption = Annotated[
     str | None,
