@@ -25,8 +25,8 @@ INPUTS = ("ref", "src")
 OUTPUTS = ("disparity_px", "confidence", "hidden")
 MOST_CELLS = 256
 """Of the grid that images are padded to, along a side of a model of any size."""
-_TRACED_HW = (2 * GRID_PX, 3 * GRID_PX)
-"""Of a model of any size: sides of one cell would be taken for constants."""
+_TRACED_HW = (8 * GRID_PX, 12 * GRID_PX)
+"""Of a model of any size: sides of one cell, at the smallest of its sizes, would be taken for constants."""
 
 
 class OnnxNetwork(nn.Module):
