@@ -202,7 +202,7 @@ def estimate_depth(
         photos: as taken.
         rig: of the two lenses; None for photos that are rectified.
         weights: of a trained network; None matches without one.
-        method: None takes joint with weights and sgm without.
+        method: None takes the network with weights and sgm without.
         device: of the network.
         facts: what is known of the photos besides, such as focal length and baseline where there is no rig.
         recipe: working width, window, corrections, seed; None for the default recipe.

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 import torch
 from training.joint_step import PRECISE, joint_gradients, precise_psmnet, short_training, stopped_training
-from training.small import WINDOW, rendered, source_of, write_pairs
+from training.small import CPU, WINDOW, rendered, source_of, write_pairs
 
 from telewide.capture.pfm import write_pfm
 from telewide.files import fingerprint
 from telewide.matching.networks import NETWORKS
 from telewide.simulate.captures import write_captures
+from telewide.training.checkpoint import new_state
 from telewide.training.processes import Processes, joined_processes
 from telewide.training.samples import SampleSource, labels_path
 
@@ -89,17 +90,29 @@ def test_psmnet_stopped_and_resumed_by_two_processes_is_psmnet_of_one(
     tmp_path: Path, joint: Path, source: SampleSource
 ) -> None:
     """Weights, running statistics and their average: three crops a step, two here and one there, stopped in between."""
+    start = new_state(PRECISE, seed=1, device=CPU).network
     one = stopped_training(tmp_path / "one", source, Processes(), stop_rank=-1)
     for rank in (0, 1):
         found = torch.load(joint / f"stopped{rank}.pt", weights_only=True)
         for part, network in (("network", one.network), ("average", one.average)):
-            expected = network.state_dict()
-            for names in (
-                [name for name, _ in network.named_parameters()],
-                [name for name, _ in network.named_buffers()],
-            ):
-                whole, other = (torch.cat([of[name].flatten() for name in names]) for of in (expected, found[part]))
-                assert float((whole - other).norm()) < 1e-5 * float(whole.norm()), f"{part} of rank {rank}"
+            # Adam divides each gradient by its own size, and with it the rounding of the losses, which are float32.
+            for names, most in ((_parameters(network), 0.05), (_buffers(network), 1e-5)):
+                states = (start.state_dict(), network.state_dict(), found[part])
+                before, expected, joined = (_flat(state, names) for state in states)
+                moved = float((expected - before).norm())
+                assert float((joined - expected).norm()) < most * moved, f"{part} of rank {rank}"
+
+
+def _parameters(network: torch.nn.Module) -> list[str]:
+    return [name for name, _ in network.named_parameters()]
+
+
+def _buffers(network: torch.nn.Module) -> list[str]:
+    return [name for name, _ in network.named_buffers()]
+
+
+def _flat(state: dict[str, torch.Tensor], names: list[str]) -> torch.Tensor:
+    return torch.cat([state[name].flatten() for name in names])
 
 
 @pytest.fixture
@@ -171,6 +184,7 @@ from pathlib import Path
 import telewide.stages.match as match
 import telewide.training.loop as loop
 from telewide.cli import main
+from telewide.training.checkpoint import new_state
 from telewide.training.processes import this_process
 
 save_weights, read_matcher = loop.save_weights, match.read_matcher
@@ -201,7 +215,7 @@ def test_all_processes_match_with_the_weights_the_writer_wrote_last(tmp_path: Pa
     done = torchrun(str(tmp_path / "script.py"), *asked, cwd=tmp_path, repo=repo)
     assert done.returncode == 0, done.stderr[-3000:]
     loaded = {(tmp_path / f"loaded_{rank}").read_text() for rank in range(2)}
-    assert loaded == {f"joint {fingerprint(tmp_path / 'run' / 'train' / 'weights.safetensors')}"}
+    assert loaded == {f"network {fingerprint(tmp_path / 'run' / 'train' / 'weights.safetensors')}"}
 
 
 def test_shares_are_disjoint_and_all() -> None:
