@@ -202,20 +202,16 @@ def test_any_number_of_planes_gives_the_same_volume(name: str, first_px: int) ->
 
 @pytest.mark.parametrize("name", [*NAMES, "guided"])
 def test_a_moved_window_moves_the_result(name: str) -> None:
-    """A source view moved by 32 px and a window moved as far give the same disparities, plus 32."""
+    """A source view moved by 32 px, from no disparity, and a window moved as far give the same disparities, plus 32."""
     network = stirred(name)
     world = torch.nn.functional.avg_pool2d(randn(1, 3, 66, 450), 3, stride=1)
     with torch.no_grad(), full_precision():
         maps = network.features(standardise(world))  # of the whole world: the views have no borders of their own
-        ref, near, far = (
-            [m[..., m.shape[-1] * x // 448 :][..., : m.shape[-1] * 320 // 448] for m in maps] for x in (0, 32, 64)
-        )
-        moved, plain = network.matching(ref, far, (40, 88))[0][-1], network.matching(ref, near, (8, 56))[0][-1]
-    assert plain.std() > 1
-    apart_px = (moved - plain - 32)[
-        ..., 192:
-    ].abs()  # where src shows all of the window, and the hourglass nothing else
-    assert (apart_px < 1e-2).float().mean() > 0.99
+        ref, far = ([m[..., m.shape[-1] * x // 448 :][..., : m.shape[-1] * 384 // 448] for m in maps] for x in (0, 32))
+        plain, moved = network.matching(ref, ref, (-24, 24))[0][-1], network.matching(ref, far, (8, 56))[0][-1]
+    middle = slice(176, 256)  # beside it the hourglasses see what src does not show
+    assert plain.std() > 0.1
+    torch.testing.assert_close(moved[..., middle], plain[..., middle] + 32, atol=1e-3, rtol=0)
 
 
 def test_a_moved_centre_does_not_move_the_result() -> None:
