@@ -145,8 +145,8 @@ def save_state(state: TrainingState, path: Path) -> None:
     # Written by Python: torch does not say that a disk is full.
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    with replacing(path) as temporary:
-        temporary.write_bytes(buffer.getbuffer())
+    with replacing(path) as temporary, temporary.open("wb") as stream:
+        stream.write(buffer.getbuffer())
 
 
 def load_state(

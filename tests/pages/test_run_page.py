@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 from pathlib import Path
 
@@ -79,7 +80,8 @@ def test_a_depth_that_cannot_be_read_leaves_its_picture_out_and_is_said(
 ) -> None:
     photo = rng.uniform(size=(60, 80, 3)).astype(np.float32)
     (tmp_path / "depth.npz").write_bytes(b"garbage")
-    row = report_row(PhotoPair("one", photo, photo), tmp_path, root=tmp_path, numbers={})
+    with caplog.at_level(logging.WARNING):
+        row = report_row(PhotoPair("one", photo, photo), tmp_path, root=tmp_path, numbers={})
     assert [picture.label for picture in row.pictures] == ["wide", "tele"]
     assert "depth.npz is damaged" in caplog.text
 
