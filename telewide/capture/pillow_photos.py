@@ -6,7 +6,6 @@ HEIC turns itself upright when it is decoded, and its EXIF then says upright.
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -16,12 +15,14 @@ from typing import BinaryIO
 from PIL import Image, features
 
 from telewide.capture.formats import PhotoFormat
+from telewide.capture.jpeg import check_jpeg_head
+from telewide.capture.png import check_png_head, exif_of_png
 from telewide.capture.sizes import check_size
 from telewide.errors import InputError, MissingPartError, extra_hint
 from telewide.ranges import MAX_PIXELS
 
 _SDR_SRGB_PRIMARIES = {0, 1, 2}
-_MOST_EXIF_BYTES, _MOST_CHUNKS = 1 << 22, 1 << 18
+_MOST_EXIF_BYTES = 1 << 22
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
 _log = logging.getLogger("telewide")
 
@@ -41,6 +42,7 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
         MissingPartError: HEIC, and the extra is not installed.
         InputError: its size cannot be believed; AVIF, and this Pillow cannot read it.
         OSError: damaged.
+        ValueError: no picture begins where one should.
     """
     if kind == "HEIF":
         if find_spec("pillow_heif") is None:
@@ -92,7 +94,7 @@ def exif_of(photo: Image.Image, *, stream: BinaryIO | None = None) -> Image.Exif
     Raises:
         Exception: damaged EXIF, in a dozen ways.
     """
-    if photo.format == "PNG" and stream is not None and (found := _exif_of_png(stream)):
+    if photo.format == "PNG" and stream is not None and (found := exif_of_png(stream, most_bytes=_MOST_EXIF_BYTES)):
         photo.info["exif"] = found
     stated = photo.info.get("exif")
     if isinstance(stated, bytes) and len(stated) > _MOST_EXIF_BYTES:
@@ -100,22 +102,11 @@ def exif_of(photo: Image.Image, *, stream: BinaryIO | None = None) -> Image.Exif
     return Image.Image.getexif(photo) if photo.format == "PNG" else photo.getexif()
 
 
-def _exif_of_png(stream: BinaryIO) -> bytes:
-    """Content of the chunk eXIf, wherever it stands (PNG, third edition, 11.3.4.3); empty without one, or too long."""
-    stream.seek(8)
-    for _ in range(_MOST_CHUNKS):
-        head = stream.read(8)
-        if len(head) < 8 or head.endswith(b"IEND"):
-            break
-        length = int.from_bytes(head[:4], "big")
-        if head.endswith(b"eXIf"):
-            return stream.read(length) if length <= _MOST_EXIF_BYTES else b""
-        stream.seek(length + 4, os.SEEK_CUR)  # its check sum too
-    return b""
-
-
 def _opened(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
-    """Open a photo whose size can be believed."""
+    """Open a photo whose head and size can be believed."""
+    check_head = {"JPEG": check_jpeg_head, "PNG": check_png_head}.get(kind)
+    if check_head is not None:
+        check_head(stream)
     with _limit_of_pillow(None):
         photo = Image.open(stream, formats=(kind,))
     check_size(path, (photo.height, photo.width))

@@ -355,6 +355,32 @@ def test_a_jpeg_of_more_scans_than_encoders_make_is_refused(tmp_path: Path) -> N
     assert why_damaged(path, read_photo_facts(path)) is not None
 
 
+def test_what_comes_before_the_pixels_has_an_end(tmp_path: Path) -> None:
+    """Pillow looks at each byte, each segment and each chunk of it: hours, for a hole that takes no space."""
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.jpg")
+    Image.new("RGB", (64, 48)).save(tmp_path / "a.png")
+    jpeg, png = (tmp_path / "a.jpg").read_bytes(), (tmp_path / "a.png").read_bytes()
+    comment, chunk = b"\xff\xfe\0\2", bytes(4) + b"abCd" + struct.pack(">I", zlib.crc32(b"abCd"))
+    strange = {
+        "a hole.jpg": (jpeg[:200], "bytes lie between its segments"),
+        "marks.jpg": (jpeg[:2] + b"\xff" * 70_000 + jpeg[2:], "bytes lie between its segments"),
+        "segments.jpg": (jpeg[:2] + comment * 5000 + jpeg[2:], "more than 4096 segments"),
+        "chunks.png": (png[:33] + chunk * 5000 + png[33:], "more than 4096 chunks"),
+    }
+    for name, (content, message) in strange.items():
+        (tmp_path / name).write_bytes(content)
+        if name == "a hole.jpg":
+            os.truncate(tmp_path / name, 1 << 26)
+        with bounded(seconds=2), pytest.raises(InputError, match=message):
+            read_image(tmp_path / name)
+        with bounded(seconds=2):
+            assert read_photo_facts(tmp_path / name).hw is None
+            assert why_damaged(tmp_path / name, read_photo_facts(tmp_path / name)) is not None
+    for name, content in (("b.jpg", jpeg[:2] + comment * 900 + jpeg[2:]), ("b.png", png[:33] + chunk * 900 + png[33:])):
+        (tmp_path / name).write_bytes(content)
+        assert read_image(tmp_path / name).shape == (48, 64, 3)
+
+
 def test_a_film_behind_a_jpeg_has_no_scans(tmp_path: Path) -> None:
     """Phones append films and previews, which are full of bytes that look like scans."""
     path = tmp_path / "a.jpg"
