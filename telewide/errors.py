@@ -54,11 +54,12 @@ class MissingPartError(TelewideError):
 
 
 @contextmanager
-def within_memory(what: str) -> Iterator[None]:
+def within_memory(what: str, *, hint: str = "use smaller photos") -> Iterator[None]:
     """Let a lack of memory be a problem of what is being computed, such as one capture of many.
 
     Args:
         what: the message begins with it.
+        hint: what takes less.
 
     Raises:
         InputError: the body asked for more memory than there is.
@@ -68,7 +69,7 @@ def within_memory(what: str) -> Iterator[None]:
     except Exception as error:
         # OpenCV and torch say so in words of their own.
         if isinstance(error, MemoryError) or any(word in str(error) for word in _OUT_OF_MEMORY):
-            raise InputError(f"{what} takes more memory than there is", hint="use smaller photos") from error
+            raise InputError(f"{what} takes more memory than there is", hint=hint) from error
         raise
 
 

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from telewide.errors import InputError
 from telewide.options import Options, parse_options
+from telewide.ranges import MAX_DISPARITY_PX, MAX_SIDE_PX
 from telewide.yaml_files import read_yaml
 
 Point = tuple[float, float]
@@ -29,6 +30,8 @@ def _moving_on(points: tuple[Point, ...]) -> tuple[Point, ...]:
 
 Polygon = Annotated[tuple[Point, ...], Field(min_length=3)]
 Polyline = Annotated[tuple[Point, ...], Field(min_length=2), AfterValidator(_moving_on)]
+Offset = Annotated[float, Field(ge=-MAX_SIDE_PX, le=MAX_SIDE_PX)]
+Step = Annotated[float, Field(ge=-MAX_DISPARITY_PX, le=MAX_DISPARITY_PX)]
 PixelCount = Annotated[int, Field(gt=0)]
 
 
@@ -37,11 +40,11 @@ class ThinThing(Options):
 
     line: Polyline
     """Along its middle."""
-    width_px: Annotated[float, Field(gt=0)]
+    width_px: Annotated[float, Field(gt=0, le=MAX_SIDE_PX)]
     """Across it."""
-    ground_px: Annotated[tuple[float, ...], Field(min_length=1)]
+    ground_px: Annotated[tuple[Offset, ...], Field(min_length=1)]
     """How far beside the line its ground is seen: to the right of a walk along the line where positive, else left."""
-    step_px: tuple[float, float]
+    step_px: tuple[Step, Step]
     """Disparity of the thing less that of its ground, at the line's first and last point. Positive: before it."""
 
     @model_validator(mode="after")

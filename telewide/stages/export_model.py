@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide import __version__
-from telewide.errors import MissingPartError, QualityError, UsageError, extra_hint
-from telewide.files import is_file, is_folder, replacing
+from telewide.errors import MissingPartError, QualityError, UsageError, extra_hint, within_memory
+from telewide.files import changing, is_file, is_folder, replacing
 from telewide.matching.window import Window, check_stated_window
 from telewide.stages.run_folder import RunFolder
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from telewide.matching.onnx_check import OnnxComparison
 
 MODEL_NAME = "telewide.onnx"
-LEAST_SIDE_PX, MOST_SIDE_PX = 64, 16384
+LEAST_SIDE_PX, MOST_SIDE_PX, MOST_PIXELS = 64, 16384, 1 << 24
 MOST_DIFFERING = 0.01
 """Share of the pixels. Of two peaks as high as each other, rounding decides which is read, and all around follow."""
 _PARTS = ("onnx", "onnxruntime", "onnxscript")
@@ -66,8 +66,8 @@ def export_model(
         The file and the comparisons.
 
     Raises:
-        UsageError: there are no weights, or a window or size that no model can have.
-        InputError: the weights cannot be read.
+        UsageError: there are no weights, a window or size that no model can have, or a place that cannot be written.
+        InputError: the weights cannot be read, or it takes more memory than there is.
         MissingPartError: the extra ``onnx`` is not installed.
         QualityError: onnxruntime computes something else; nothing was written.
     """
@@ -75,6 +75,10 @@ def export_model(
     if not is_file(found):  # like all below, said before torch is imported, which takes seconds
         raise UsageError(f"{found} does not exist; a run folder with a trained network, or its weights, was expected")
     _refuse_impossible(window, hw)
+    if is_folder(path):
+        raise UsageError(f"{path} is a folder; the name of a file was expected")
+    with changing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     _require_parts()
     from telewide.matching.inference import GRID_PX, choose_device
     from telewide.matching.onnx_check import compare_onnx
@@ -86,7 +90,7 @@ def export_model(
     # One of a fixed size pads by itself.
     metadata = _metadata(card.network, model.window, hw) | {"size_multiple": "1" if hw else str(GRID_PX)}
     tell(f"exporting {card.network}, which takes a minute or two")
-    with replacing(path) as temporary:
+    with within_memory("such a model", hint="state a smaller size or window"), replacing(path) as temporary:
         write_onnx(model, temporary, hw=hw, metadata=metadata)
         tell("comparing it with torch")
         comparisons = tuple(compare_onnx(temporary, model, hw=size) for size in ((hw,) if hw else _CHECKED_HW))
@@ -119,8 +123,10 @@ def _refuse_impossible(window: Window | None, hw: tuple[int, int] | None) -> Non
             check_stated_window(window)
         except ValueError as error:
             raise UsageError(str(error)) from error
-    if hw is not None and not all(LEAST_SIDE_PX <= side <= MOST_SIDE_PX for side in hw):
-        raise UsageError(f"{hw[1]}x{hw[0]}: sides of {LEAST_SIDE_PX} to {MOST_SIDE_PX} px were expected")
+    if hw is not None and not (min(hw) >= LEAST_SIDE_PX and max(hw) <= MOST_SIDE_PX and hw[0] * hw[1] <= MOST_PIXELS):
+        raise UsageError(
+            f"{hw[1]}x{hw[0]}: sides of {LEAST_SIDE_PX} to {MOST_SIDE_PX} px were expected, {MOST_PIXELS} px at most"
+        )
 
 
 def _require_parts() -> None:

@@ -70,6 +70,7 @@ def test_the_exported_maps_are_those_of_a_match(name: str, hw: tuple[int, int]) 
         (("--window", "wide"), 2, "0,64"),
         (("--size", "huge"), 2, "1280x640"),
         (("--size", "8x8"), 2, "64 to"),
+        (("--size", "16384x16384"), 2, "16777216 px at most"),
         (("--out", "model.pt"), 2, ".onnx"),
     ],
 )
@@ -79,6 +80,20 @@ def test_what_no_model_can_be_is_refused(
     given = words if words[0] == "nowhere" else (str(weights_of("lite", tmp_path)), *words)
     assert code_of("export-model", *given) == code
     assert told in capsys.readouterr().err
+
+
+@needs_onnx
+def test_a_place_that_cannot_be_written_is_said_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = weights_of("lite", tmp_path)
+    (tmp_path / "folder.onnx").mkdir()
+    (tmp_path / "file").touch()
+    for place, told in (("folder.onnx", "is a folder"), ("file/m.onnx", "cannot be written")):
+        assert code_of("export-model", str(weights), "--out", str(tmp_path / place)) == 2
+        said = capsys.readouterr().err
+        assert told in said
+        assert "exporting" not in said
 
 
 def test_a_missing_extra_is_one_message(
