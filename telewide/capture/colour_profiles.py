@@ -17,8 +17,7 @@ _log = logging.getLogger("telewide")
 def srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
     """Drop alpha, expand palettes, convert the embedded profile to sRGB."""
     profile = photo.info.get("icc_profile")
-    if photo.mode in {"P", "PA"}:
-        photo = photo.convert("RGBA" if "transparency" in photo.info or photo.mode == "PA" else "RGB")
+    photo = without_palette(photo)
     if photo.mode in {"RGBA", "LA"}:
         if photo.getchannel("A").getextrema()[0] != 255:
             _log.warning("%s has transparent pixels; they are read as opaque", path)
@@ -28,6 +27,13 @@ def srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
     if profile:
         photo = _apply_profile(path, photo, profile)
     return photo if photo.mode == "RGB" else photo.convert("RGB")  # which copies
+
+
+def without_palette(photo: Image.Image) -> Image.Image:
+    """Expand a palette; any other photo is returned as it is."""
+    if photo.mode not in {"P", "PA"}:
+        return photo
+    return photo.convert("RGBA" if "transparency" in photo.info or photo.mode == "PA" else "RGB")
 
 
 def _apply_profile(path: Path, photo: Image.Image, profile_bytes: bytes) -> Image.Image:

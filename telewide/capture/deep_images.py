@@ -31,11 +31,14 @@ _DEFLATE, _DECODED_HERE = {8, 32946}, {1, 8, 32773, 32946}
 
 
 def decode_deep_png(path: Path, data: bytes) -> Samples:
-    """Decode a 16-bit PNG; alpha is dropped.
+    """Decode a 16-bit PNG, in the size a photo is read in; alpha is dropped.
 
     Args:
         path: the photo, to be named.
         data: its bytes.
+
+    Returns:
+        (H, W) or (H, W, 3) RGB.
 
     Raises:
         InputError: it cannot be decoded.
@@ -43,9 +46,8 @@ def decode_deep_png(path: Path, data: bytes) -> Samples:
     samples = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if samples is None or samples.dtype != np.uint16:
         raise InputError(f"{path} is a 16-bit PNG that cannot be decoded")
-    if samples.ndim == 2:
-        return np.asarray(samples, dtype=np.uint16)
-    return np.asarray(samples[..., [2, 1, 0]], dtype=np.uint16)
+    samples = at_read_size(path, np.asarray(samples, dtype=np.uint16), (samples.shape[0], samples.shape[1]))
+    return samples if samples.ndim == 2 else samples[..., 2::-1]  # OpenCV's order is blue, green, red
 
 
 def decode_deep_tiff(path: Path, data: bytes) -> tuple[Samples, int] | None:

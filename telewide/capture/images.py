@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from telewide.capture.colour_profiles import srgb_from_photo, warn_unless_srgb
+from telewide.capture.colour_profiles import srgb_from_photo, warn_unless_srgb, without_palette
 from telewide.capture.deep_images import decode_deep_png, decode_deep_tiff
 from telewide.capture.exif import believable_orientation, read_photo_facts
 from telewide.capture.formats import PhotoFormat, read_photo
@@ -33,6 +33,7 @@ from telewide.geometry.arrays import FloatImage
 from telewide.ranges import MAX_SCANS
 
 _TAG_ORIENTATION = 274
+_REDUCED = {"L", "LA", "RGB", "RGBA", "CMYK"}
 _ORIENTATION_OF_TURN = {0: 1, 90: 6, 180: 3, 270: 8}  # CIPA DC-008, by degrees clockwise
 
 
@@ -179,11 +180,13 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
         # Byte 24 of a PNG is the bit depth; Pillow would cut 16-bit colour down to 8.
         if photo.format == "PNG" and data[24] == 16:
             warn_unless_srgb(path, photo.info.get("icc_profile"))
-            return at_read_size(path, decode_deep_png(path, data), hw), orientation
-        shown = srgb_from_photo(path, photo)
-        if is_read_halved(hw) and (shown.height, shown.width) == hw:
-            shown = shown.reduce(2)  # before numpy holds it too
-        return at_read_size(path, np.asarray(shown), hw), orientation
+            photo.close()  # a gigabyte of the largest
+            return decode_deep_png(path, data), orientation
+        shown: Image.Image = photo
+        if is_read_halved(hw) and (photo.height, photo.width) == hw:
+            shown = without_palette(photo)
+            shown = shown.reduce(2) if shown.mode in _REDUCED else shown  # before anything else is copied
+        return at_read_size(path, np.asarray(srgb_from_photo(path, shown)), hw), orientation
 
 
 def _three_channels(samples: Samples) -> Samples:

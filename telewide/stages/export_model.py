@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 MODEL_NAME = "telewide.onnx"
 LEAST_SIDE_PX, MOST_SIDE_PX, MOST_PIXELS = 64, 16384, 1 << 24
+MOST_SPAN_PX = 1024
+"""Of the disparities it searches; each four of them are a part of the model."""
 MOST_DIFFERING = 0.01
 """Share of the pixels. Of two peaks as high as each other, rounding decides which is read, and all around follow."""
 _PARTS = ("onnx", "onnxruntime", "onnxscript")
@@ -86,6 +88,7 @@ def export_model(
     from telewide.training.checkpoint import load_weights
 
     network, card = load_weights(found, device=choose_device("cpu"))
+    _refuse_wide(window or card.window)
     model = OnnxNetwork(network, window or card.window).eval()
     # One of a fixed size pads by itself.
     metadata = _metadata(card.network, model.window, hw) | {"size_multiple": "1" if hw else str(GRID_PX)}
@@ -126,6 +129,15 @@ def _refuse_impossible(window: Window | None, hw: tuple[int, int] | None) -> Non
     if hw is not None and not (min(hw) >= LEAST_SIDE_PX and max(hw) <= MOST_SIDE_PX and hw[0] * hw[1] <= MOST_PIXELS):
         raise UsageError(
             f"{hw[1]}x{hw[0]}: sides of {LEAST_SIDE_PX} to {MOST_SIDE_PX} px were expected, {MOST_PIXELS} px at most"
+        )
+
+
+def _refuse_wide(window: Window) -> None:
+    """Refuse a window whose planes an export takes hours for, whoever states it."""
+    if window[1] - window[0] > MOST_SPAN_PX:
+        raise UsageError(
+            f"a window of {window[0]} to {window[1]} px: models of up to {MOST_SPAN_PX} px are exported",
+            hint="state a smaller one with --window",
         )
 
 

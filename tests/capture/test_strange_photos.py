@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -210,6 +211,41 @@ def test_a_very_large_photo_is_read_at_half_its_size(
     expected = 20 + 3 * (2 * np.arange(width // 2) + 0.5)
     inner = slice(2, width // 2 - 2)  # a JPEG's last block is padded
     np.testing.assert_allclose(255 * image[5, inner, 0], expected[inner], atol=1.6)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        *(("a.png", mode) for mode in ("L", "LA", "RGB", "RGBA", "P")),
+        *(("a.tif", mode) for mode in ("L", "RGBA", "CMYK", "P")),
+        ("a.jpg", "CMYK"),
+    ],
+)
+def test_a_very_large_photo_of_any_mode_is_halved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, mode: str
+) -> None:
+    """As half of what the whole one is read as: before it is copied, which of the largest would take gigabytes."""
+    ramp = np.broadcast_to((20 + 3 * np.arange(64)).astype(np.uint8), (48, 64))
+    photo = Image.fromarray(np.dstack([ramp, ramp // 2, 255 - ramp])).convert(mode)
+    photo.save(tmp_path / name, **({"quality": 100} if name == "a.jpg" else {}))
+    whole = read_image(tmp_path / name)
+    monkeypatch.setattr(sizes, "MAX_WHOLE_PIXELS", 2000)
+    half = read_image(tmp_path / name)
+    assert half.shape == (24, 32, 3)
+    expected = whole.reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(half[2:-2, 2:-2], expected[2:-2, 2:-2], atol=2.1 / 255)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_a_very_large_deep_png_is_halved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, channels: int) -> None:
+    levels = np.random.default_rng(3).integers(0, 65536, (48, 64, channels)).astype(np.uint16)
+    assert cv2.imwrite(str(tmp_path / "a.png"), levels)
+    whole = read_image(tmp_path / "a.png")
+    stored = levels[..., [0, 0, 0] if channels == 1 else [2, 1, 0]] / np.float32(65535)
+    np.testing.assert_allclose(whole, stored, atol=1e-6)
+    monkeypatch.setattr(sizes, "MAX_WHOLE_PIXELS", 2000)
+    half = read_image(tmp_path / "a.png")
+    np.testing.assert_allclose(half, whole.reshape(24, 2, 32, 2, 3).mean(axis=(1, 3)), atol=1.1 / 65535)
 
 
 def test_a_very_large_dng_is_developed_at_half_its_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

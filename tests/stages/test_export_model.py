@@ -68,6 +68,7 @@ def test_the_exported_maps_are_those_of_a_match(name: str, hw: tuple[int, int]) 
         (("nowhere",), 2, "nowhere does not exist"),
         (("--window", "1,2"), 2, "multiples of 4"),
         (("--window", "wide"), 2, "0,64"),
+        (("--window", "0,2048"), 2, "models of up to 1024 px"),
         (("--size", "huge"), 2, "1280x640"),
         (("--size", "8x8"), 2, "64 to"),
         (("--size", "16384x16384"), 2, "16777216 px at most"),
