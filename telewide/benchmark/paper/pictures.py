@@ -103,7 +103,7 @@ def write_scene_sheet(path: Path, truth: StereoTruth, found: Sequence[Found]) ->
             colourise(each.disparity_px, range_px=range_px),
             painted(error_px, value_range=(0, ERROR_SHOWN_PX), table="inferno"),
         ]
-        labels += [each.title, f"3PE {100 * each.off_3px_5percent:.1f} %"]
+        labels += [each.title, f"error to {ERROR_SHOWN_PX:g} px; 3PE {100 * each.off_3px_5percent:.1f} %"]
     write_sheet(path, strip(panels, labels, width_px=_PANEL_PX * _COLUMNS, columns=_COLUMNS))
 
 

@@ -219,13 +219,13 @@ def test_of_several_processes_one_speaks_and_writes(data: Path, monkeypatch: pyt
     second = run.invoke(app, words, env={"RANK": "1", "WORLD_SIZE": "2"})
     assert (second.exit_code, second.output) == (0, "")
     cells = sorted(path.name for path in (out / "cells").iterdir())
-    assert len(cells) == 8
+    assert len(cells) == 9
     assert not (out / "open.md").exists()
     first = run.invoke(app, words, env={"RANK": "0", "WORLD_SIZE": "2"})
     assert "**Middlebury 2014**" in first.stdout
     assert sorted(path.name for path in (out / "cells").iterdir()) == cells
     assert (out / "open.html").is_file()
-    assert len(list((out / "open").glob("*.png"))) == 8
+    assert len(list((out / "open").glob("*.png"))) == 9
 
 
 def test_restorer_weights_that_do_not_exist(data: Path) -> None:
