@@ -72,7 +72,8 @@ bench: $(STAMP)
 	else echo "left out: no Middlebury 2006 scenes at $(DATA)/middlebury_2006_third; see the head of the Makefile" >&2; fi
 	@if test -d "$(DATA)/p30"; \
 	then $(BIN)/telewide benchmark matches "$(DATA)/p30" --uncorrected $(RUN_FLAGS) && \
-	$(BIN)/telewide benchmark marks "$(DATA)/p30" --marks tests/benchmark/p30_marks.yaml $(RUN_FLAGS); \
+	$(BIN)/telewide benchmark marks "$(DATA)/p30" --marks tests/benchmark/p30_marks.yaml $(RUN_FLAGS) && \
+	$(BIN)/telewide benchmark bokeh "$(DATA)/p30" $(RUN_FLAGS); \
 	else echo "left out: no captures at $(DATA)/p30; see the head of the Makefile" >&2; fi
 
 # Continues where it was stopped; some hours bring it near its end.

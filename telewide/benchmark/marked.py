@@ -16,19 +16,14 @@ from telewide.benchmark.mark_scores import MarkScore, score_marks
 from telewide.benchmark.mark_sheets import write_mark_sheet
 from telewide.benchmark.marks import CaptureMarks, Marks
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
+from telewide.benchmark.written import JudgedSet, judged_set
 from telewide.capture.images import read_image
-from telewide.capture.pair import find_captures, read_pair
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import resize_disparity
 from telewide.matching.matcher import Matcher
-from telewide.matching.window import Window, joined_window
 from telewide.recipe import Recipe
-from telewide.stages.capture_depth import depth_on_photo
-from telewide.stages.depth import shot_geometry
-from telewide.stages.pairs import PreparedPair, PreparedSet
-from telewide.stages.prepare import prepare_captures
-from telewide.stages.rig import locate_rig, refuse_without_rig
+from telewide.stages.pairs import PreparedPair
 from telewide.stages.run_folder import RunFolder
 from telewide.text import first_few
 
@@ -69,23 +64,23 @@ def benchmark_marks(
     """
     if sheets is not None:
         _make_folder(sheets)
-    captures = find_captures(captures_root)
-    stored_rig = locate_rig(rig, captures)
-    refuse_without_rig(captures, rig=stored_rig)
-    prepared = prepare_captures(captures, run, recipe=recipe, rig=stored_rig)
+    judged = judged_set(captures_root, contenders, run=run, recipe=recipe, rig=rig)
+    prepared = judged.prepared
     names = {item.capture.name for item in prepared.pairs}
     if not names & marks.captures.keys():
         raise InputError(
             f"none of the captures in {captures_root} is marked",
             hint=f"the file holds marks of {first_few(sorted(marks.captures)) or 'nothing'}",
         )
-    trained = [contender.window for contender in contenders if contender.window is not None]
-    window = joined_window([prepared.window, *trained])
-    judge = _Judge(prepared, tuple(contenders), marks, window=window, tell=tell)
+    judge = _Judge(judged, tuple(contenders), marks, tell=tell)
     rows = [row for item in prepared.pairs for row in judge.rows_of(item, sheets=sheets)]
     notes = [f"{problem.name}: {problem.message}" for problem in prepared.problems]
     notes += [f"{name} is marked and is not among the captures" for name in sorted(marks.captures.keys() - names)]
-    options = {"captures": sorted(names & marks.captures.keys()), "window": list(window), "px_of_wh": marks.photo_wh}
+    options = {
+        "captures": sorted(names & marks.captures.keys()),
+        "window": list(judged.window),
+        "px_of_wh": marks.photo_wh,
+    }
     return BenchmarkReport("marks", options, (*rows, *_means(rows, contenders)), tuple(notes))
 
 
@@ -119,10 +114,9 @@ def _marked_photo(item: PreparedPair, marks: Marks) -> FloatMap:
 class _Judge:
     """All that the judgement of every capture has alike."""
 
-    prepared: PreparedSet
+    judged: JudgedSet
     contenders: tuple[Matcher, ...]
     marks: Marks
-    window: Window
     tell: Callable[[str], None]
 
     def rows_of(self, item: PreparedPair, *, sheets: Path | None) -> list[dict[str, object]]:
@@ -137,7 +131,7 @@ class _Judge:
             self.tell(f"{name}: {contender.name}")
             maps_px[contender.name] = self._written_map(item, contender, photo)
         if sheets is not None and maps_px:
-            turned_deg = self.prepared.facts.rotated_deg
+            turned_deg = self.judged.prepared.facts.rotated_deg
             drawn = of_capture or CaptureMarks()
             write_mark_sheet(sheets / f"{name}.png", photo, drawn, maps_px=maps_px, rotated_deg=turned_deg)
         if of_capture is None:
@@ -147,10 +141,7 @@ class _Judge:
 
     def _written_map(self, item: PreparedPair, contender: Matcher, photo: FloatMap) -> FloatMap:
         """(H, W) disparity as ``telewide depth`` writes it, at the size of the marks."""
-        pair = read_pair(item.capture)
-        working = contender.match(pair.tele, pair.wide, window=self.window, valid=pair.valid)
-        shot = shot_geometry(item, self.prepared, matcher=contender)
-        result, _, _ = depth_on_photo(working, photo, name=item.capture.name, facts=self.prepared.facts, shot=shot)
+        result = self.judged.depth(item, contender, photo=photo)
         return resize_disparity(result.disparity.disparity_px, wh=self.marks.photo_wh)
 
 

@@ -2,7 +2,9 @@
 
 Along a jump of the blur radius each pixel is split into a front part, whose coverage is where its colour lies between
 the pure colours on either side, and the rear colour beneath it: ``C = front + (1 - coverage) * rear``, kept exactly, so
-that two sharp surfaces give the photo back. Colours are linear light.
+that two sharp surfaces give the photo back. What neither colour explains goes to the part that covers more. Each part
+has the radius of the nearest pure pixel of its surface: the pixel's own is the least certain, and parts of an outline
+that fall into other bins than the surface behind them would be blurred alone. Colours are linear light.
 Letters: H W image; N mixed pixels; K pixels of the window around each.
 """
 
@@ -96,11 +98,12 @@ def _split(
     front_N3, front_radius_N = _pure(colour_NK3, nearby_NK, weight_NK * is_front_NK)
     rear_N3, rear_radius_N = _pure(colour_NK3, nearby_NK, weight_NK * ~is_front_NK)
     own_N3 = light[at]
-    is_front_N = radius_px[at] > middle_px[at]
-    coverage_N = _coverage(own_N3, front_N3, rear_N3, otherwise=is_front_N)
-    rear_N3 = np.where((coverage_N > 0)[:, None], rear_N3, own_N3)
-    # What is left of the pixel once the rear's share is taken away belongs to the front, whatever its colour.
-    front_N3 = np.maximum(own_N3 - (1 - coverage_N[:, None]) * rear_N3, 0)
+    coverage_N = _coverage(own_N3, front_N3, rear_N3, otherwise=radius_px[at] > middle_px[at])
+    coverage_N1 = coverage_N[:, None]
+    rest_N3 = own_N3 - coverage_N1 * front_N3 - (1 - coverage_N1) * rear_N3
+    covers_more_N1 = coverage_N1 >= 0.5
+    front_N3 = np.maximum(coverage_N1 * front_N3 + np.where(covers_more_N1, rest_N3, 0), 0)
+    rear_N3 = np.maximum(rear_N3 + np.where(covers_more_N1, 0, rest_N3 / np.maximum(1 - coverage_N1, 0.5)), 0)
     return np.column_stack([front_N3, coverage_N]), front_radius_N, rear_N3, rear_radius_N
 
 
@@ -116,9 +119,7 @@ def _coverage(own_N3: FloatMap, front_N3: FloatMap, rear_N3: FloatMap, *, otherw
 
 def _pure(colour_NK3: FloatMap, radius_NK: FloatMap, weight_NK: FloatMap) -> tuple[FloatMap, FloatMap]:
     """Mean colour (N, 3) of the one surface whose pixel weighs most, and the radius (N,) of that pixel."""
-    centre = weight_NK.shape[1] // 2
-    best_N = np.where(weight_NK[:, centre] > 0, centre, weight_NK.argmax(axis=1))  # its own surface, if it is one of it
-    radius_N = radius_NK[np.arange(len(best_N)), best_N]
+    radius_N = radius_NK[np.arange(len(weight_NK)), weight_NK.argmax(axis=1)]
     share_NK = weight_NK * (np.abs(radius_NK - radius_N[:, None]) <= JUMP_PX)
     share_NK /= share_NK.sum(axis=1, keepdims=True)
     return np.einsum("nk,nkc->nc", share_NK, colour_NK3), radius_N

@@ -2,26 +2,28 @@
 
 A *bin* is a range of signed radii that shares one disk; a *layer* is a bin with what it continues to behind others.
 What a nearer surface hides is continued from the nearest pixel of the surfaces behind it, so that a blurred edge shows
-background and not darkness, and a slanted surface that is cut into bins stays whole.
+background and not darkness, and a slanted surface that is cut into bins stays whole. Under the next pixels of the very
+surface a layer goes on with their own light: where bins change along an outline, no background shines through the seam.
 Letters: H W image, h w in cells; N pixels of one bin, or bins.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.bokeh.coverage import split_mixed_pixels
+from telewide.bokeh.coverage import JUMP_PX, split_mixed_pixels
 from telewide.depth.edges import nearest_known
-from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
+from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap, IntArray
 
 BIN_PX = 1.0  # finer bins gain nothing, bins of 2 px cost 2 dB
 BIN_GROWTH = 0.12  # bins may widen with their radius: a large disk forgives more
 FILL_PX = 5  # hidden colours are means over this square: what nobody saw is better guessed smooth
+WHOLE_COVERAGE = 0.9
 LEAST_KNOWN = 0.25  # share of a cell that is seen, for it to be continued where nothing is
 TILE_PX = 256
 _TINY = np.float32(1e-6)
@@ -131,11 +133,15 @@ class _Fronts:
     y: NDArray[np.int64]
     x: NDArray[np.int64]
     rgba: FloatMap
+    lowest_bin: NDArray[np.uint8]
 
     def within(self, box: Box) -> _Fronts:
         first, last = np.searchsorted(self.y, (box.top, box.bottom))
         some = first + np.flatnonzero((self.x[first:last] >= box.left) & (self.x[first:last] < box.right))
-        return _Fronts(self.y[some] - box.top, self.x[some] - box.left, self.rgba[some])
+        return replace(self.at(some), y=self.y[some] - box.top, x=self.x[some] - box.left)
+
+    def at(self, which: BoolMap | IntArray) -> _Fronts:
+        return _Fronts(self.y[which], self.x[which], self.rgba[which], self.lowest_bin[which])
 
 
 @dataclass(frozen=True)
@@ -145,11 +151,13 @@ class SortedPhoto:
     Attributes:
         rear: (H, W, 4) float32, linear light and 1; of mixed pixels the rear part.
         rear_bin: (H, W) uint8, its bin.
+        lowest_bin: (H, W) uint8, the farthest bin whose layer goes on under it with its light: both are one surface.
         bins: the bins.
     """
 
     rear: FloatMap
     rear_bin: NDArray[np.uint8]
+    lowest_bin: NDArray[np.uint8]
     bins: Bins
     _fronts: dict[int, _Fronts]
 
@@ -234,13 +242,18 @@ class SortedPhoto:
         Returns:
             (h, w, 4) float32, light times coverage, and coverage.
         """
-        rear_bin = self.rear_bin[box.slices]
-        layer = np.asarray(cv2.copyTo(self.rear[box.slices], (rear_bin == index).view(np.uint8)), dtype=np.float32)
+        rear_bin, lowest_bin = self.rear_bin[box.slices], self.lowest_bin[box.slices]
+        shown = (lowest_bin <= index) & (rear_bin >= index)
+        layer = np.asarray(cv2.copyTo(self.rear[box.slices], shown.view(np.uint8)), dtype=np.float32)
         if hidden is not None:
-            layer += cv2.copyTo(hidden, (rear_bin > index).view(np.uint8))
-        fronts = self._fronts.get(index)
-        if fronts is not None:
+            layer += cv2.copyTo(hidden, (lowest_bin > index).view(np.uint8))
+        for front_index, fronts in self._fronts.items():
+            if front_index < index:
+                continue
             some = fronts.within(box)
+            # Of an outline's pixels only those that hide all: others laid over themselves would hide too much.
+            is_shown = (some.lowest_bin <= index) & (some.rgba[:, 3] >= WHOLE_COVERAGE)
+            some = some.at(is_shown | (front_index == index))
             layer[some.y, some.x] = some.rgba + (1 - some.rgba[:, 3:]) * layer[some.y, some.x]
         return layer
 
@@ -273,15 +286,34 @@ def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> Sort
     split = split_mixed_pixels(light, radius_px)
     beyond_y, beyond_x = (-size % multiple for size in radius_px.shape)
     rear = np.asarray(cv2.cvtColor(light, cv2.COLOR_RGB2RGBA), dtype=np.float32)
-    rear_bin = bins.index(radius_px)
-    rear[split.y, split.x, :3], rear_bin[split.y, split.x] = split.rear, bins.index(split.rear_radius_px)
+    rear[split.y, split.x, :3] = split.rear
+    front_radius_px, rear_radius_px = radius_px.copy(), radius_px.copy()
+    front_radius_px[split.y, split.x], rear_radius_px[split.y, split.x] = split.front_radius_px, split.rear_radius_px
+    rear_bin, front_bin = bins.index(rear_radius_px), bins.index(split.front_radius_px)
+    lowest_rear, lowest_front = (bins.index(_lowest(r)) for r in (rear_radius_px, front_radius_px))
     if beyond_y or beyond_x:
         beyond = 0, beyond_y, 0, beyond_x
         rear = np.asarray(cv2.copyMakeBorder(rear, *beyond, cv2.BORDER_REFLECT), dtype=np.float32)
-        rear_bin = np.asarray(cv2.copyMakeBorder(rear_bin, *beyond, cv2.BORDER_REFLECT), dtype=np.uint8)
-    front_bin = bins.index(split.front_radius_px)
+        rear_bin, lowest_rear = (
+            np.asarray(cv2.copyMakeBorder(b, *beyond, cv2.BORDER_REFLECT), dtype=np.uint8)
+            for b in (rear_bin, lowest_rear)
+        )
     fronts = {}
     for index in np.unique(front_bin[split.front[:, 3] > 0]):
         some = np.flatnonzero((front_bin == index) & (split.front[:, 3] > 0))
-        fronts[int(index)] = _Fronts(split.y[some], split.x[some], split.front[some])
-    return SortedPhoto(rear, rear_bin, bins, fronts)
+        y, x = split.y[some], split.x[some]
+        fronts[int(index)] = _Fronts(y, x, split.front[some], lowest_front[y, x])
+    return SortedPhoto(rear, rear_bin, lowest_rear, bins, fronts)
+
+
+def _lowest(radius_px: FloatMap) -> FloatMap:
+    """Find the least radius at or beside each pixel that is no other surface."""
+    lowest_px = np.asarray(cv2.erode(radius_px, np.ones((3, 3), np.uint8)), dtype=np.float32)
+    y, x = np.nonzero(radius_px - lowest_px > JUMP_PX)
+    own_px = radius_px[y, x]
+    lowest_px[y, x] = own_px
+    for step_y, step_x in ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)):
+        at = np.clip(y + step_y, 0, radius_px.shape[0] - 1), np.clip(x + step_x, 0, radius_px.shape[1] - 1)
+        is_lower = (radius_px[at] < lowest_px[y, x]) & (own_px - radius_px[at] <= JUMP_PX)
+        lowest_px[y[is_lower], x[is_lower]] = radius_px[at][is_lower]
+    return lowest_px

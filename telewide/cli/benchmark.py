@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telewide.cli.arguments import DeviceOption, RigOption, refuse_filled
+from telewide.cli.bokeh import FocusOption
 from telewide.cli.console import console_observer, say
 from telewide.errors import UsageError
 from telewide.files import is_file, is_folder
@@ -177,6 +178,38 @@ def marks(
     _hand_over(report, marks_table(report), json_file)
     if sheets is not None:
         _tell(f"wrote pictures to {sheets}")
+
+
+@benchmark_app.command(epilog="Example: `telewide benchmark bokeh captures/ --run run --json bokeh.json`")
+def bokeh(
+    captures: Annotated[Path, typer.Argument(help="Folder of the captures.")],
+    *,
+    run: RunOption = None,
+    focus: FocusOption = "auto",
+    rig: RigOption = None,
+    device: DeviceOption = "auto",
+    json_file: JsonFileOption = None,
+) -> None:
+    """Judge bokeh: specks along outlines, and PSNR on rooms of `telewide simulate --thin-lens`."""
+    from telewide.benchmark.bokeh import benchmark_bokeh, bokeh_table
+    from telewide.benchmark.contenders import all_contenders
+    from telewide.bokeh.picture import BokehOptions
+    from telewide.stages.depth import recipe_of_depth
+    from telewide.stages.run_folder import RunFolder
+
+    sources = run or []
+    contenders = all_contenders(sources, device=device)
+    with _run_with_pairs(sources) as pairs_run:
+        report = benchmark_bokeh(
+            captures,
+            contenders,
+            run=RunFolder(pairs_run),
+            recipe=recipe_of_depth(pairs_run, captures, weights=sources[0] if sources else None),
+            tell=_tell,
+            bokeh=BokehOptions(focus=focus),
+            rig=rig,
+        )
+    _hand_over(report, bokeh_table(report), json_file)
 
 
 @benchmark_app.command(epilog="Example: `telewide benchmark metres --run run --json metres.json`")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from bokeh.layered_world import World, random_world, reference_world
 
+from telewide.benchmark.outlines import speck_share
 from telewide.bokeh import lens
 from telewide.bokeh.render import (
     radius_per_px_from_f_number,
@@ -141,6 +142,19 @@ def test_bokeh_stays_in_the_range_of_the_photo_up_to_the_frame(rng: np.random.Ge
         assert bokeh.max() < 0.8 + 1e-4
     flat = render_bokeh(np.full_like(photo, 0.4), disparity_px, focus_disparity_px=0.0, radius_per_px=0.5)
     np.testing.assert_allclose(flat, 0.4, atol=1e-4)  # no dark or bright seam anywhere
+
+
+@pytest.mark.parametrize("focus_px", [0.0, 10.0])
+def test_an_outline_whose_blur_changes_along_it_has_no_specks(focus_px: float, rng: np.random.Generator) -> None:
+    """A dark thing before a bright wall, its depth uneven by half a pixel of blur, its edge soft over 3 px."""
+    y, x = np.mgrid[:120, :160].astype(np.float32)
+    outside_px = np.hypot(x - 80, y - 60) - 40
+    coverage = np.clip(0.5 - outside_px / 3, 0, 1)[..., None]
+    photo = srgb_from_linear(np.float32(0.02) * coverage + np.float32(0.6) * (1 - coverage)).repeat(3, axis=2)
+    uneven_px = cv2.GaussianBlur(rng.normal(size=(120, 160)).astype(np.float32), (0, 0), 2)
+    disparity_px = np.where(outside_px < 0, 10 + 0.5 * uneven_px / uneven_px.std(), 0).astype(np.float32)
+    bokeh = render_bokeh(photo, disparity_px, focus_disparity_px=focus_px, radius_per_px=1.0)
+    assert speck_share(bokeh, disparity_px) <= speck_share(photo, disparity_px) + 0.005
 
 
 def test_tiles_leave_no_seam(monkeypatch: pytest.MonkeyPatch) -> None:
