@@ -303,7 +303,7 @@ def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> Sort
         some = np.flatnonzero((front_bin == index) & (split.front[:, 3] > 0))
         y, x = split.y[some], split.x[some]
         fronts[int(index)] = _Fronts(y, x, split.front[some], lowest_front[y, x])
-    return SortedPhoto(rear, rear_bin, lowest_rear, bins, fronts)
+    return SortedPhoto(rear=rear, rear_bin=rear_bin, lowest_bin=lowest_rear, bins=bins, _fronts=fronts)
 
 
 def _lowest(radius_px: FloatMap) -> FloatMap:

@@ -74,13 +74,11 @@ def export_model(
         QualityError: onnxruntime computes something else; nothing was written.
     """
     found = RunFolder(weights).weights if is_folder(weights) else weights
-    if not is_file(found):  # like all below, said before torch is imported, which takes seconds
+    # All that can be refused is, before torch is imported, which takes seconds.
+    if not is_file(found):
         raise UsageError(f"{found} does not exist; a run folder with a trained network, or its weights, was expected")
     _refuse_impossible(window, hw)
-    if is_folder(path):
-        raise UsageError(f"{path} is a folder; the name of a file was expected")
-    with changing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    _prepare_place(path)
     _require_parts()
     from telewide.matching.inference import GRID_PX, choose_device
     from telewide.matching.onnx_check import compare_onnx
@@ -118,6 +116,13 @@ def refuse_difference(path: Path, comparisons: Sequence[OnnxComparison]) -> None
             f"{100 * MOST_DIFFERING:g} % at most was expected",
             hint="install the versions of constraints.txt, which were seen to agree",
         )
+
+
+def _prepare_place(path: Path) -> None:
+    if is_folder(path):
+        raise UsageError(f"{path} is a folder; the name of a file was expected")
+    with changing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _refuse_impossible(window: Window | None, hw: tuple[int, int] | None) -> None:
