@@ -127,7 +127,7 @@ def test_convention_points_are_x_y() -> None:
     np.testing.assert_allclose(fields.vertical_px, [1.0])
 
 
-def test_convention_points_count_on_the_photo_as_read(tmp_path: Path) -> None:
+def test_convention_points_count_on_the_upright_photo(tmp_path: Path) -> None:
     from telewide.bokeh.picture import BokehOptions, check_bokeh
     from telewide.capture.pair import find_captures
     from telewide.errors import UsageError
@@ -144,9 +144,10 @@ def test_convention_points_count_on_the_photo_as_read(tmp_path: Path) -> None:
     photo = read_image(captures.captures[0].tele_path)
     assert photo.shape == (60, 40, 3)
     np.testing.assert_allclose(photo[56, 36], 1.0, atol=0.02)
-    check_bokeh(BokehOptions(focus="39,59"), captures)
-    with pytest.raises(UsageError, match="outside the tele photo of 40 x 60 px"):
-        check_bokeh(BokehOptions(focus="59,39"), captures)
+    check_bokeh(BokehOptions(focus="59,39"), captures)
+    with pytest.raises(UsageError, match="outside the tele photo of 60 x 40 px"):
+        check_bokeh(BokehOptions(focus="39,59"), captures)
+    check_bokeh(BokehOptions(focus="39,59"), captures, has_rig=True)
 
 
 def test_convention_rotated_deg_is_counter_clockwise(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -163,7 +164,7 @@ def test_convention_rotated_deg_is_counter_clockwise(tmp_path: Path, rng: np.ran
         disparity = DisparityMap(given_px, known.astype(np.float32), known)
         result = depth_result("shot", disparity, facts=read_facts(tmp_path / folder / "captures.yaml"))
         write_depth(tmp_path / folder, result, image=turn(photo))
-        np.testing.assert_array_equal(read_pfm(tmp_path / folder / "disparity.pfm"), given_px)
+        np.testing.assert_array_equal(read_pfm(tmp_path / folder / "disparity.pfm"), disparity_px)
     assert cv2.ROTATE_90_COUNTERCLOCKWISE == 2
     upright, turned_back = (read_image(tmp_path / folder / "preview.png") for folder in ("0", "90"))
     np.testing.assert_allclose(turned_back, upright, atol=0.01)

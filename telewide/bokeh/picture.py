@@ -32,7 +32,7 @@ class BokehOptions:
     """Focus of a bokeh picture, strength of its blur, shape of its lights.
 
     Attributes:
-        focus: "X,Y" in px of the tele photo, a distance such as "2.5m", near, far or auto.
+        focus: "X,Y" in px of the tele photo, upright, a distance such as "2.5m", near, far or auto.
         strength_px: radius of the strongest blur, px; None for the default.
         strength_share: the same as a share of the photo's longer side.
         f_number: of an imitated lens; needs the baseline.
@@ -97,15 +97,16 @@ def check_bokeh(
             else "state baseline_m in captures.yaml, or give the blur in pixels with `strength`",
         )
     if named_point(bokeh.focus, hw=None) is not None:
-        _check_point(bokeh.focus, captures)
+        _check_point(bokeh.focus, captures, rotated_deg=0 if has_rig else captures.facts.rotated_deg)
 
 
-def _check_point(focus: str, captures: CaptureSet) -> None:
-    """Refuse a point that lies in no tele photo."""
+def _check_point(focus: str, captures: CaptureSet, *, rotated_deg: int) -> None:
+    """Refuse a point that lies in no tele photo, upright."""
     refusal: UsageError | None = None
     for capture in captures.captures:
         try:
-            named_point(focus, hw=read_photo_facts(capture.tele_path).hw)
+            hw = read_photo_facts(capture.tele_path).hw
+            named_point(focus, hw=hw if hw is None or rotated_deg % 180 == 0 else hw[::-1])
         except UsageError as error:
             refusal = error
         except InputError:  # it is a problem of that capture, and said where the captures are read

@@ -34,7 +34,6 @@ from telewide.ranges import MAX_SCANS
 
 _TAG_ORIENTATION = 274
 _REDUCED = {"L", "LA", "RGB", "RGBA", "CMYK"}
-_ORIENTATION_OF_TURN = {0: 1, 90: 6, 180: 3, 270: 8}  # CIPA DC-008, by degrees clockwise
 
 
 def read_image(path: Path) -> FloatImage:
@@ -80,29 +79,23 @@ def _decoded(path: Path, data: bytes, kind: PhotoFormat) -> FloatImage:
     return image
 
 
-def write_image(path: Path, image: FloatImage, *, quality: int = 92, shown_turned_deg: int = 0) -> None:
+def write_image(path: Path, image: FloatImage, *, quality: int = 92) -> None:
     """Write a picture with 8 bits per channel, whole or not at all.
 
     Args:
         path: ends in .png, .jpg or .jpeg.
         image: (H, W, 3) RGB or (H, W) grey, [0, 1]; values outside are clipped, NaN becomes 0.
         quality: of a JPEG, 1 to 100.
-        shown_turned_deg: of a JPEG: how far viewers turn it clockwise (multiple of 90). Its EXIF says so, the pixels
-            stay as they are.
 
     Raises:
         UsageError: another suffix, or the place cannot be written.
-        ValueError: a picture that is no JPEG is to be turned.
     """
     levels = (np.clip(np.nan_to_num(image, nan=0.0), 0, 1) * 255 + 0.5).astype(np.uint8)
     suffix = path.suffix.lower()
     if suffix == ".png":
-        if shown_turned_deg:
-            raise ValueError(f"{path.name}: only a JPEG says how far it is to be turned")
         _write_encoded(path, levels, [])
     elif suffix in {".jpg", ".jpeg"}:
-        exif = _turning_exif(shown_turned_deg) if shown_turned_deg else b""
-        _write_encoded(path, levels, [cv2.IMWRITE_JPEG_QUALITY, quality], exif=exif)
+        _write_encoded(path, levels, [cv2.IMWRITE_JPEG_QUALITY, quality])
     else:
         raise UsageError(f"{path}: a picture is written as .png or .jpg, not as {suffix or 'a name without suffix'}")
 
@@ -207,19 +200,10 @@ def _upright(samples: Samples, orientation: int) -> Samples:
     return samples
 
 
-def _turning_exif(clockwise_deg: int) -> bytes:
-    """The APP1 segment of a JPEG that viewers show turned."""
-    exif = Image.Exif()
-    exif[_TAG_ORIENTATION] = _ORIENTATION_OF_TURN[clockwise_deg]
-    content = exif.tobytes()
-    return b"\xff\xe1" + (len(content) + 2).to_bytes(2, "big") + content
-
-
-def _write_encoded(path: Path, levels: Samples, parameters: list[int], *, exif: bytes = b"") -> None:
-    """Encode and write; OpenCV before 4.12 writes no EXIF, so its segment goes in after a JPEG's first two bytes."""
+def _write_encoded(path: Path, levels: Samples, parameters: list[int]) -> None:
     stored = levels if levels.ndim == 2 else np.ascontiguousarray(levels[..., ::-1])
     done, encoded = cv2.imencode(path.suffix.lower(), stored, parameters)
     if not done:
         raise ValueError(f"{path}: an image of shape {levels.shape} and type {levels.dtype} cannot be encoded")
     with replacing(path) as temporary:
-        temporary.write_bytes(encoded[:2].tobytes() + exif + encoded[2:].tobytes())
+        temporary.write_bytes(encoded.tobytes())

@@ -20,7 +20,7 @@ from telewide.capture.images import write_image, write_png16
 from telewide.capture.pfm import write_pfm
 from telewide.capture.sizes import MAX_WHOLE_PIXELS
 from telewide.depth.preview import preview
-from telewide.depth.result import DepthResult
+from telewide.depth.result import DepthResult, stood_upright
 from telewide.errors import InputError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatMap
@@ -50,17 +50,20 @@ class WrittenDepth:
 
 
 def write_depth(folder: Path, result: DepthResult, *, image: FloatMap | None = None) -> WrittenDepth:
-    """Write the depth of one capture, each file atomically.
+    """Write the depth of one capture upright, each file atomically.
 
     Args:
         folder: is made if it is not there.
         result: of one capture.
-        image: (H, W, 3) the ref photo, RGB in [0, 1], for the preview; without it none is written.
+        image: (H, W, 3) the ref photo, RGB in [0, 1], turned as the result is, for the preview; without it none is
+            written.
 
     Returns:
         The paths and what to know about them.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    picture = None if image is None else preview(image, result)
+    result = stood_upright(result)
     paths, notes = [folder / "disparity.pfm"], []
     write_pfm(paths[0], result.disparity.disparity_px)
     png_path = folder / "disparity.png"
@@ -72,9 +75,9 @@ def write_depth(folder: Path, result: DepthResult, *, image: FloatMap | None = N
         paths.append(png_path)
     paths.append(folder / NPZ_NAME)
     _write_npz(paths[-1], npz_arrays(result))
-    if image is not None:
+    if picture is not None:
         paths.append(folder / "preview.png")
-        write_image(paths[-1], preview(image, result))
+        write_image(paths[-1], picture)
     return WrittenDepth(paths=tuple(paths), notes=tuple(notes))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from telewide.capture.facts import CaptureFacts
 from telewide.depth.precision import DepthPrecision, depth_std_m, disparity_std_px
+from telewide.drawing import upright, upright_mask
 from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.rig import StereoRig
 from telewide.geometry.stereo import DisparityMap, depth_from_disparity
@@ -33,7 +34,7 @@ class DepthResult:
         distortion: (n,) OpenCV coefficients of the ref photo; None where not known, empty where there is none.
         doffs_px: ``cx_src - cx_ref``, px; of the mirrored views where wide stands to the left of tele.
         rotated_deg: how far the photos were turned counter-clockwise before they were given (multiple of 90).
-            Files keep that orientation, pictures for people are shown upright.
+            The maps have that orientation; :func:`stood_upright` turns them back, as files and pictures have them.
     """
 
     name: str
@@ -128,6 +129,48 @@ def depth_result_of_rig(
     )
     in_front = _in_front(disparity, depth_m)
     return replace(result, disparity=in_front, baseline_m=rig.baseline_m, depth_m=depth_m, depth_std_m=std_m)
+
+
+def stood_upright(result: DepthResult) -> DepthResult:
+    """Turn the maps of a result, and its camera, as people see the photo.
+
+    On a photo that is turned by a quarter, disparities run along its columns; their sizes, and depth, stay as they are.
+
+    Args:
+        result: of photos turned by ``rotated_deg``; without distortion where that is not 0.
+
+    Returns:
+        The same of the upright photo, with ``rotated_deg`` 0.
+    """
+    turned_deg = result.rotated_deg
+    if turned_deg == 0:
+        return result
+    maps, hw = result.disparity, result.disparity.disparity_px.shape
+    depth_m, std_m = (
+        None if each is None else upright(each, rotated_deg=turned_deg) for each in (result.depth_m, result.depth_std_m)
+    )
+    return replace(
+        result,
+        disparity=DisparityMap(
+            upright(maps.disparity_px, rotated_deg=turned_deg),
+            upright(maps.confidence, rotated_deg=turned_deg),
+            upright_mask(maps.valid, rotated_deg=turned_deg),
+        ),
+        K=None if result.K is None else _upright_intrinsics(result.K, hw=(hw[0], hw[1]), rotated_deg=turned_deg),
+        depth_m=depth_m,
+        depth_std_m=std_m,
+        rotated_deg=0,
+    )
+
+
+def _upright_intrinsics(K: FloatArray, *, hw: tuple[int, int], rotated_deg: int) -> FloatArray:
+    """Intrinsics after clockwise quarter turns, each of which takes (x, y) to (H - 1 - y, x)."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    height, width = hw
+    for _ in range(rotated_deg // 90):
+        fx, fy, cx, cy = fy, fx, height - 1 - cy, cx
+        height, width = width, height
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def _in_front(disparity: DisparityMap, depth_m: FloatMap) -> DisparityMap:

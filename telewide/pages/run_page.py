@@ -36,12 +36,12 @@ def report_row(
         folder: where its depth was written.
         root: folder of the report, which links lead from.
         numbers: as the pipeline gives them.
-        rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the bokeh is read.
+        rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the results are.
     """
     views = (("wide", pair.wide), ("tele", pair.tele))
     pictures = [thumbnail(label, upright(photo, rotated_deg=rotated_deg)) for label, photo in views]
     try:
-        pictures.append(_disparity_picture(folder, root, rotated_deg=rotated_deg))
+        pictures.append(_disparity_picture(folder, root))
     except TelewideError as error:
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
     bokeh = folder / "bokeh.jpg"
@@ -121,11 +121,11 @@ def _training_steps(recipe: Recipe) -> int:
     return sum(stage.options.steps for stage in plan_stages(recipe.train))
 
 
-def _disparity_picture(folder: Path, root: Path, *, rotated_deg: int) -> Picture:
+def _disparity_picture(folder: Path, root: Path) -> Picture:
     """The map alone, as large as the photos beside it; it leads to the preview with its scale."""
     disparity = read_disparity(folder / NPZ_NAME)
-    height, width = upright(disparity.disparity_px, rotated_deg=rotated_deg).shape
-    result = DepthResult(name=folder.name, disparity=disparity, rotated_deg=rotated_deg)
+    height, width = disparity.disparity_px.shape
+    result = DepthResult(name=folder.name, disparity=disparity)
     # Hatched at the size it is seen at: made smaller, thin lines vanish, and guesses look measured.
     panel = disparity_panel(result, wh=thumbnail_wh((width, height)))
     low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)

@@ -32,8 +32,9 @@ from telewide.depth.precision_notes import (
     without_meaningless_metres,
     without_unknown_std,
 )
-from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
+from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig, stood_upright
 from telewide.depth.unrectify import disparity_on_tele
+from telewide.drawing import upright
 from telewide.errors import InputError, UsageError, within_memory
 from telewide.files import fingerprint, is_file, replacing
 from telewide.folders import fresh_folder, refuse_links
@@ -183,7 +184,7 @@ def depth_of_capture(
 
 @dataclass(frozen=True)
 class _Computed:
-    """All that is to be written of one capture; `bokeh_notes` without a picture say why there is none."""
+    """All that is to be written of one capture, upright; `bokeh_notes` without a picture say why there is none."""
 
     photo: FloatMap
     result: DepthResult
@@ -225,6 +226,7 @@ def _compute(
     elif truth_px is not None:
         numbers["3PE"] = three_pixel_error(result.disparity.disparity_px, truth_px)
         numbers["EPE_px"] = end_point_error_px(result.disparity.disparity_px, truth_px)
+    photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
     picture: FloatMap | None = None
     told: tuple[str, ...] = ()
     if bokeh is not None:
@@ -271,7 +273,7 @@ def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
     notes = (*notes, *computed.bokeh_notes)
     if computed.picture is not None:
-        write_image(folder / BOKEH_NAME, computed.picture, shown_turned_deg=computed.result.rotated_deg)
+        write_image(folder / BOKEH_NAME, computed.picture)
         names.append(BOKEH_NAME)
     elif not computed.bokeh_notes and _has_bokeh_of(former, folder / "disparity.pfm"):
         with replacing(folder / BOKEH_NAME) as temporary:

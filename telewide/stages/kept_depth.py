@@ -17,7 +17,7 @@ from telewide.files import changing, is_file, is_folder, temporary_name
 from telewide.records import Figure, Line, Name, Record, as_read, checked, read_json, read_record, write_record
 from telewide.text import shortened
 
-FORMAT = 4
+FORMAT = 5
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
 FILE_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png", BOKEH_NAME)

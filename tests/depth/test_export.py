@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -124,9 +125,27 @@ def test_same_result_gives_the_same_bytes(tmp_path: Path, disparity_px: FloatMap
         assert (first / name).read_bytes() == (second / name).read_bytes()
 
 
-def test_files_keep_the_orientation_of_the_photo(tmp_path: Path, disparity_px: FloatMap) -> None:
-    write_depth(tmp_path, replace(result_of(disparity_px), rotated_deg=90))
-    np.testing.assert_array_equal(read_pfm(tmp_path / "disparity.pfm"), disparity_px)
+@pytest.mark.parametrize("rotated_deg", [0, 90, 180, 270])
+def test_files_stand_upright_and_their_camera_sees_the_same_points(tmp_path: Path, rotated_deg: int) -> None:
+    rng = np.random.default_rng(5)
+    upright_px = rng.uniform(4, 9, (24, 40)).astype(np.float32)
+    given_px = np.ascontiguousarray(np.rot90(upright_px, k=rotated_deg // 90))
+    known = rng.random(given_px.shape) < 0.5
+    facts = CaptureFacts(f_px=50.0, baseline_m=0.01)
+    given = depth_result("one", DisparityMap(given_px, known.astype(np.float32), known), facts=facts)
+    assert given.K is not None
+    given = replace(given, K=given.K + np.array([[0, 0, 3.0], [0, 2.0, 5.0], [0, 0, 0]]), rotated_deg=rotated_deg)
+    write_depth(tmp_path, given)
+    np.testing.assert_array_equal(read_pfm(tmp_path / "disparity.pfm"), upright_px)
+    with np.load(tmp_path / "depth.npz") as stored:
+        np.testing.assert_array_equal(stored["valid"], np.rot90(known, k=-rotated_deg // 90))
+        # A ray of the photo as given is turned about the optical axis by as much as the photo is.
+        y, x = (int(each[0]) for each in np.nonzero(given_px == upright_px[3, 7]))
+        turn_rad = math.radians(rotated_deg)
+        clockwise = np.array([[math.cos(turn_rad), -math.sin(turn_rad)], [math.sin(turn_rad), math.cos(turn_rad)]])
+        ray = np.linalg.solve(given.K, [x, y, 1.0])
+        expected = np.linalg.solve(stored["K"], [7.0, 3.0, 1.0])
+        np.testing.assert_allclose(clockwise @ ray[:2], expected[:2], atol=1e-12)
 
 
 def test_nothing_measured_is_written_and_said(tmp_path: Path) -> None:

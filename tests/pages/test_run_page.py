@@ -15,6 +15,7 @@ from telewide.capture.pair import PhotoPair
 from telewide.cli import main
 from telewide.depth.export import write_depth
 from telewide.depth.result import DepthResult
+from telewide.drawing import upright
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.run_page import next_steps, report_row, training_curves
 from telewide.recipe import Recipe, load_recipe
@@ -69,7 +70,7 @@ def test_all_pictures_of_a_capture_stand_alike(
     one = np.ones(photo.shape[:2], np.float32)
     result = DepthResult("one", DisparityMap(one, one, one > 0), rotated_deg=rotated_deg)
     write_depth(tmp_path / "one", result, image=photo)
-    write_image(tmp_path / "one" / "bokeh.jpg", photo, shown_turned_deg=rotated_deg)
+    write_image(tmp_path / "one" / "bokeh.jpg", upright(photo, rotated_deg=rotated_deg))
     pair = PhotoPair("one", photo, photo)
     row = report_row(pair, tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=rotated_deg)
     assert [picture.wh for picture in row.pictures] == [wh] * 4

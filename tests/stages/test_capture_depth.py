@@ -15,7 +15,7 @@ from rig_worlds import phone_rig
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts
-from telewide.capture.pfm import write_pfm
+from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.correction.moving import MovedRegion
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
@@ -75,7 +75,7 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
 
 
 @pytest.mark.parametrize("rotated_deg", [0, 90, 180, 270])
-def test_viewers_turn_the_bokeh_as_the_preview_is_turned(capture: Capture, tmp_path: Path, rotated_deg: int) -> None:
+def test_files_of_a_capture_lie_over_each_other_upright(capture: Capture, tmp_path: Path, rotated_deg: int) -> None:
     y, x = np.mgrid[: HW[0], : HW[1]] / HW[1]
     photo = np.stack([x, y, 0.5 + 0 * x], axis=-1).astype(np.float32)
     write_image(capture.tele_path, photo)
@@ -83,8 +83,10 @@ def test_viewers_turn_the_bokeh_as_the_preview_is_turned(capture: Capture, tmp_p
     made(capture, tmp_path, bokeh=BokehOptions(strength_px=1.0), facts=facts)
     with Image.open(tmp_path / "bokeh.jpg") as picture:
         stored, shown = (np.asarray(view) / 255 for view in (picture, ImageOps.exif_transpose(picture)))
-    np.testing.assert_allclose(stored, photo, atol=0.06)
-    np.testing.assert_allclose(shown, upright(photo, rotated_deg=rotated_deg), atol=0.06)
+    standing = upright(photo, rotated_deg=rotated_deg)
+    np.testing.assert_allclose(stored, standing, atol=0.06)
+    np.testing.assert_array_equal(shown, stored)
+    assert read_pfm(tmp_path / "disparity.pfm").shape == standing.shape[:2]
     np.testing.assert_allclose(read_image(tmp_path / "bokeh.jpg"), shown, atol=0.02)
 
 
