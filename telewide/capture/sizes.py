@@ -67,6 +67,16 @@ def read_hw(hw: tuple[int, int]) -> tuple[int, int]:
     return ((hw[0] + 1) // 2, (hw[1] + 1) // 2) if is_read_halved(hw) else hw
 
 
+def narrowed_hw(hw: tuple[int, int], *, width_px: int) -> tuple[int, int]:
+    """Return the height and width of a picture that is shrunk where it is wider than a width, px.
+
+    Args:
+        hw: as it is read.
+        width_px: the largest width.
+    """
+    return hw if hw[1] <= width_px else (round(hw[0] * width_px / hw[1]), width_px)
+
+
 def halved(samples: Samples) -> Samples:
     """Halve a picture by the mean of 2 x 2 pixels: ``x' = (x + 0.5) / 2 - 0.5``, as JPEG decoders shrink.
 

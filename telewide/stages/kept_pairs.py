@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.calibration.rig_file import StoredRig
+from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import write_image
 from telewide.capture.pair import Capture, CaptureFacts
+from telewide.capture.sizes import narrowed_hw
 from telewide.correction.verdict import CorrectedPair
 from telewide.errors import TelewideError
 from telewide.files import fingerprint, read_regular, replacing
@@ -24,8 +26,8 @@ from telewide.npz import read_npz
 from telewide.points.held_out import HeldOut
 from telewide.ranges import MAX_DISPARITY_PX, MAX_SIDE_PX
 from telewide.recipe import Recipe
-from telewide.records import as_read, read_record
-from telewide.stages.align import alignment_from_json, plain_rig
+from telewide.records import MAX_JSON_BYTES, as_read, read_record
+from telewide.stages.align import Alignment, alignment_from_json, plain_rig
 from telewide.stages.pair_record import RECORD_NAME, PairRecord
 from telewide.stages.pairs import PreparedPair
 from telewide.training.samples import LABELS_NAME
@@ -107,12 +109,13 @@ def read_kept(
         ref_px, src_px = _read_held_out(folder / MATCHES_NAME)
         alignment = None
         if rig is not None:
-            text = read_regular(folder / SHOT_NAME).decode()
+            text = read_regular(folder / SHOT_NAME, most_bytes=MAX_JSON_BYTES).decode()
             alignment = alignment_from_json(text, rig=rig.rig, working_width_px=recipe.working_width_px)
+        valid_paths = None if rig is None else (folder / VALID_NAMES[0], folder / VALID_NAMES[1])
+        corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png", valid_paths=valid_paths)
+        _check_size(capture, corrected, alignment, working_width_px=recipe.working_width_px)
     except (TelewideError, ValueError, KeyError, ArithmeticError):  # damaged: it is made again
         return None
-    valid_paths = None if rig is None else (folder / VALID_NAMES[0], folder / VALID_NAMES[1])
-    corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png", valid_paths=valid_paths)
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
     return PreparedPair(
         source=capture,
@@ -124,6 +127,24 @@ def read_kept(
         blur=record.blur,
         wide_side=record.wide_side,
     )
+
+
+def _check_size(capture: Capture, pair: Capture, alignment: Alignment | None, *, working_width_px: int) -> None:
+    """Refuse a pair of another size than its photos and its rig give: it would be matched, whatever that takes.
+
+    Raises:
+        ValueError: it is.
+    """
+    found = {read_photo_facts(path).hw for path in (pair.tele_path, pair.wide_path, *(pair.valid_paths or ()))}
+    facts = read_photo_facts(capture.tele_path)
+    if alignment is not None:
+        expected = {alignment.geometry.hw}
+    elif facts.hw is not None and facts.kind != "raw":  # LibRaw leaves out borders that the tags of a RAW count
+        expected = {narrowed_hw(facts.hw, width_px=working_width_px)}
+    else:
+        expected = {hw for hw in found if hw is not None and hw[1] <= working_width_px}
+    if len(found) != 1 or found != expected:
+        raise ValueError("a pair of another size than its photos give")
 
 
 def files_of_pair(rig: StoredRig | None) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ from telewide.capture.pair import (
     read_photos,
 )
 from telewide.capture.photo_store import PhotoStore
+from telewide.capture.sizes import narrowed_hw
 from telewide.correction.blur import fit_blur
 from telewide.correction.verdict import (
     MIN_COMMON_MATCHES,
@@ -374,14 +375,15 @@ def at_working_size(pair: RectifiedPair, width_px: int) -> tuple[RectifiedPair, 
     Raises:
         InputError: too little of its height is left.
     """
-    height, width = pair.tele.shape[:2]
+    width = pair.tele.shape[1]
     if width <= width_px:
         return pair, 1.0
-    wh = (width_px, round(height * width_px / width))
-    if wh[1] < MIN_SIDE_PX:
+    height_px, _ = narrowed_hw(pair.tele.shape[:2], width_px=width_px)
+    if height_px < MIN_SIDE_PX:
         raise InputError(
-            f"at the working width of {width_px} px the views are {wh[1]} px high; {MIN_SIDE_PX} or more were expected",
+            f"at the working width of {width_px} px the views are {height_px} px high; "
+            f"{MIN_SIDE_PX} or more were expected",
             hint="crop the photos to a less narrow view, or state a larger working_width_px",
         )
-    tele, wide = (resize_bicubic(view, wh=wh) for view in (pair.tele, pair.wide))
+    tele, wide = (resize_bicubic(view, wh=(width_px, height_px)) for view in (pair.tele, pair.wide))
     return RectifiedPair(pair.name, tele, wide), width_px / width

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from capture.dng import write_dng
 from numpy.typing import NDArray
 from rig_worlds import phone_rig, photos_of_a_plane
 
@@ -107,11 +109,15 @@ def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
     points_px = np.round(pair.held_out.ref_px).astype(int)
     assert len(points_px) > 20
     assert valid.ref[points_px[:, 1], points_px[:, 0]].all(), "judged by what no photo shows"
-    mask = run.pairs / "one" / "tele_valid.png"
+    mask, record = run.pairs / "one" / "tele_valid.png", run.pairs / "one" / "pair.json"
     written = mask.read_bytes()
     mask.unlink()
     assert read_pair(made().capture).valid is not None
     assert mask.read_bytes() == written
+    write_image(mask, np.ones((64, 48), np.float32))
+    record.write_text(record.read_text().replace(hashlib.sha256(written).hexdigest(), fingerprint(mask)))
+    made()
+    assert mask.read_bytes() == written, "a mask of another size, though the record vouches for it"
 
 
 @pytest.mark.parametrize(
@@ -292,6 +298,31 @@ def test_matches_that_lie_in_no_picture_are_made_again(
     record.write_text(record.read_text().replace(before, fingerprint(path)))
     prepared(captures, tmp_path / "run")
     assert path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("name", ["tele.png", "wide.png"])
+def test_a_pair_of_another_size_than_its_photos_is_made_again(captures: Path, tmp_path: Path, name: str) -> None:
+    """Though the record vouches for it: matching takes as long as it is large."""
+    made = prepared(captures, tmp_path / "run").pairs[0]
+    path, record = (made.capture.tele_path.with_name(name) for name in (name, "pair.json"))
+    whole, before = path.read_bytes(), fingerprint(path)
+    write_image(path, np.full((640, 900, 3), 0.5, np.float32))
+    record.write_text(record.read_text().replace(before, fingerprint(path)))
+    prepared(captures, tmp_path / "run")
+    assert path.read_bytes() == whole
+
+
+def test_a_raw_photo_whose_tags_state_another_size_than_it_has_is_kept(captures: Path, tmp_path: Path) -> None:
+    """Its crop reaches beyond the sensor, so that nothing is cropped."""
+    for view in ("tele", "wide"):
+        (tmp_path / "raw" / "one").mkdir(parents=True, exist_ok=True)
+        mosaic = np.ascontiguousarray(read_image(captures / "000" / f"{view}.png")[:, :, 1])
+        write_dng(tmp_path / "raw" / "one" / f"{view}.dng", mosaic, crop=(0, 0, 500, 500))
+    (tmp_path / "raw" / "captures.yaml").write_text("rectified: true\n")
+    path = prepared(tmp_path / "raw", tmp_path / "run").pairs[0].capture.tele_path
+    before = path.stat().st_mtime_ns
+    prepared(tmp_path / "raw", tmp_path / "run")
+    assert path.stat().st_mtime_ns == before
 
 
 def test_labels_that_cannot_be_read_are_made_again(captures: Path, tmp_path: Path) -> None:
