@@ -5,6 +5,7 @@ Letters: B batch, C channels, H W image.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -12,6 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,11 +26,15 @@ from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotogr
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
 from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
 from telewide.matching.sampling import pad_to_multiple
-from telewide.matching.window import Window, check_window
+from telewide.matching.window import Window, check_window, scaled_window
 
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
 MAX_TILE_PIXELS = 2_500_000
+ENLARGED_TO_PIXELS, MOST_ENLARGED = 1280 * 640, 1.5
+"""Smaller views are enlarged up to this before a network with cells of 4 px matches them: cells are too coarse for all
+that small pictures show."""
+SAME_SURFACE_PX = 0.5
 LEAST_BF16_GAIN = 1.2
 _may_use_bf16: ContextVar[bool] = ContextVar("may_use_bf16", default=True)
 
@@ -128,6 +134,48 @@ def match_with_network(
         raise ValueError(f"ref {ref.shape} and src {src.shape} must be (H, W, 3) of one size")
     check_window(window)
     network.eval()
+    hw = ref.shape[:2]
+    enlarged_hw = _enlarged_hw(hw) if network.has_confidence else hw
+    if enlarged_hw == hw:
+        found = _match_views(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)
+    else:
+        scale = enlarged_hw[1] / hw[1]
+        views = (_enlarged(view, enlarged_hw) for view in (ref, src))
+        larger = _match_views(
+            *views, network=network, window=scaled_window(window, scale), max_tile_pixels=max_tile_pixels
+        )
+        found = _shrunken(larger, hw)
+    return without_unphotographed(found, valid)
+
+
+def _enlarged_hw(hw: tuple[int, ...]) -> tuple[int, ...]:
+    scale = min(MOST_ENLARGED, math.sqrt(ENLARGED_TO_PIXELS / (hw[0] * hw[1])))
+    return tuple(round(scale * side) for side in hw) if scale > 1 else hw
+
+
+def _enlarged(view: FloatImage, hw: tuple[int, ...]) -> FloatImage:
+    larger = cv2.resize(view, (hw[1], hw[0]), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(larger.clip(0, 1), dtype=np.float32)
+
+
+def _shrunken(larger: DisparityMap, hw: tuple[int, ...]) -> DisparityMap:
+    """The map at the size that was asked for; no disparity is the mean of two surfaces."""
+    scale = np.float32(larger.disparity_px.shape[1] / hw[1])
+
+    def resized(values: FloatImage, interpolation: int) -> FloatImage:
+        return np.asarray(cv2.resize(values, (hw[1], hw[0]), interpolation=interpolation), dtype=np.float32)
+
+    mean_px, nearest_px = (resized(larger.disparity_px, kind) for kind in (cv2.INTER_AREA, cv2.INTER_NEAREST_EXACT))
+    is_surface = np.abs(mean_px - nearest_px) < SAME_SURFACE_PX
+    valid = resized(larger.valid.astype(np.float32), cv2.INTER_NEAREST_EXACT) > 0
+    disparity_px = np.where(is_surface, mean_px, nearest_px) / scale
+    return DisparityMap(disparity_px, resized(larger.confidence, cv2.INTER_AREA), valid)
+
+
+def _match_views(
+    ref: FloatImage, src: FloatImage, *, network: StereoNetwork, window: Window, max_tile_pixels: int
+) -> DisparityMap:
+    """Match at the size of the views, in tiles where they are large."""
     device = next(network.parameters()).device
     # Over the whole image, so that a tile is seen with the brightness the image has.
     ref_BCHW, src_BCHW = (prepare_view(network.features, _tensor_from_image(view).to(device)) for view in (ref, src))
@@ -137,7 +185,7 @@ def match_with_network(
         maps = _match_tile(ref_BCHW[tile.outer_slices], src_BCHW[tile.outer_slices], network, window)
         for whole, part in zip((disparity_px, confidence, agrees), maps, strict=True):
             whole[tile.inner] = part[tile.inner_of_outer].cpu().numpy()
-    return without_unphotographed(DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px)), valid)
+    return DisparityMap(disparity_px, confidence, agrees & _falls_inside(disparity_px))
 
 
 def _match_tile(ref: Tensor, src: Tensor, network: StereoNetwork, window: Window) -> tuple[Tensor, ...]:

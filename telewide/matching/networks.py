@@ -26,7 +26,7 @@ from telewide.matching.psmnet_full import (
     PublishedPsmnetFeatures,
     load_published_psmnet,
 )
-from telewide.matching.window import VOLUME_STEP_PX, Window, halved_window
+from telewide.matching.window import VOLUME_STEP_PX, Window, scaled_window
 
 SIZE_MULTIPLE_PX = 16
 """Both sides of a network's input are multiples of this; inference pads."""
@@ -128,7 +128,7 @@ class StereoNetwork(nn.Module):
         if scales == 1 or not self.has_confidence:
             return cast(NetworkOutput, self(ref_BCHW, src_BCHW, window))
         ref_half, src_half = (functional.avg_pool2d(view, 2) for view in (ref_BCHW, src_BCHW))
-        half = self.match_in_scales(ref_half, src_half, halved_window(window), scales=scales - 1)
+        half = self.match_in_scales(ref_half, src_half, scaled_window(window, 0.5), scales=scales - 1)
         heads = cast(Tensor, half.heads_BCHW)
         maps = 2 * half.disparity_px.float(), heads[:, 0].sigmoid()
         on_cells = (functional.avg_pool2d(map_[:, None], VOLUME_STEP_PX // 2)[:, 0] for map_ in maps)

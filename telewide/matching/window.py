@@ -5,6 +5,7 @@ A window ``[d_min, d_max)`` has one plane every ``VOLUME_STEP_PX`` px of the ful
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from telewide.errors import InputError
@@ -49,10 +50,10 @@ def widened_window(window: Window, *, planes: int) -> Window:
     return window[0] // span_px * span_px, -(-window[1] // span_px) * span_px
 
 
-def halved_window(window: Window) -> Window:
-    """The narrowest window that holds those disparities at half of the size."""
-    span_px = 2 * VOLUME_STEP_PX
-    return window[0] // span_px * VOLUME_STEP_PX, -(-window[1] // span_px) * VOLUME_STEP_PX
+def scaled_window(window: Window, scale: float) -> Window:
+    """The narrowest window that holds those disparities at another size of the picture."""
+    first, end = (scale * limit / VOLUME_STEP_PX for limit in window)
+    return math.floor(first) * VOLUME_STEP_PX, math.ceil(end) * VOLUME_STEP_PX
 
 
 def within_width(window: Window, width_px: int) -> Window:

@@ -17,6 +17,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 from torch.utils.data import Dataset
 
 from telewide.geometry.arrays import FloatImage
@@ -44,6 +45,11 @@ MARGIN_PX = 3
 LARGEST_FACTOR = 8.5
 EQUAL_SHARE = 0.1
 """Of the pairs: only colour differs."""
+ENLARGED_SHARE = 0.5
+"""Of the crops: cut smaller, damaged and enlarged, as small pictures are before they are matched."""
+MOST_ENLARGED = 2.0
+STEP_PX = 0.5
+"""A truth that differs by more from its neighbours' mean is at the border of a surface."""
 
 
 @dataclass(frozen=True)
@@ -85,18 +91,21 @@ class Worlds:
     _kept: OrderedDict[int, WorldCrop] = field(default_factory=OrderedDict)
     _palette: tuple[int, Palette] | None = None
 
-    def crop(self, step: int, k: int, *, rng: np.random.Generator, window: Window) -> WorldCrop:
+    def crop(self, step: int, k: int, *, rng: np.random.Generator, window: Window, scale: float = 1.0) -> WorldCrop:
         """Cut crop k of a step, in colours of its own, with src moved so that the window holds its disparities.
 
         Args:
             step: of the stage.
             k: number of the crop in the step.
             rng: source of all draws but the world's own.
-            window: disparities ``[d_min, d_max)``, px.
+            window: disparities ``[d_min, d_max)``, px of whole crops.
+            scale: size of this crop, in whole ones, at most 1.
         """
+        hw = (round(scale * self.crop_hw[0]), round(scale * self.crop_hw[1]))
+        scaled_window = (math.floor(scale * window[0]), math.ceil(scale * window[1]))
         # Not all crops take a new world in the same step.
         turn = (step + k * STEPS_A_WORLD // self.crops) // STEPS_A_WORLD + int(rng.integers(KEPT_WORLDS))
-        return _recoloured(_cut(self._cast_once(turn * self.crops + k), rng, self.crop_hw, window), rng)
+        return _recoloured(_cut(self._cast_once(turn * self.crops + k), rng, hw, scaled_window), rng)
 
     def _cast_once(self, number: int) -> WorldCrop:
         if number not in self._kept:
@@ -207,7 +216,24 @@ class WorldBatches(Dataset[Batch]):
         )
 
     def _crop(self, rng: np.random.Generator, step: int, k: int, window: Window) -> WorldCrop:
-        return damaged_crop(self._worlds.crop(step, k, rng=rng, window=window), rng, factors=(1.0, LARGEST_FACTOR))
+        scale = 1 / rng.uniform(1, MOST_ENLARGED) if rng.random() < ENLARGED_SHARE else 1.0
+        whole = self._worlds.crop(step, k, rng=rng, window=window, scale=scale)
+        damaged = damaged_crop(whole, rng, factors=(1.0, LARGEST_FACTOR))
+        return damaged if scale == 1 else enlarged_crop(damaged, hw=self._source.crop_hw)
+
+
+def enlarged_crop(crop: WorldCrop, *, hw: tuple[int, int]) -> WorldCrop:
+    """Enlarge a crop to a height and width, px: bicubic views, and a truth whose steps stay steps."""
+    ref, src = (
+        functional.interpolate(view[None], hw, mode="bicubic", align_corners=False)[0].clamp(0, 1)
+        for view in (crop.ref, crop.src)
+    )
+    maps = torch.stack((crop.truth_px, crop.occluded.float()))[None]
+    nearest_px, occluded = functional.interpolate(maps, hw, mode="nearest-exact")[0]
+    smooth_px = functional.interpolate(maps[:, :1], hw, mode="bilinear", align_corners=False)[0, 0]
+    is_surface = (smooth_px - nearest_px).abs() < STEP_PX
+    scale = hw[1] / crop.truth_px.shape[1]
+    return WorldCrop(ref, src, torch.where(is_surface, smooth_px, nearest_px) * scale, occluded > 0.5)
 
 
 def worlds_for(

@@ -14,6 +14,8 @@ from training.small import stage_of, training_in
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import find_captures, read_pair
 from telewide.errors import MissingPartError
+from telewide.geometry.stereo import DisparityMap
+from telewide.matching import inference
 from telewide.matching.inference import (
     GRID_PX,
     choose_device,
@@ -308,3 +310,40 @@ def test_a_network_that_was_taught_to_says_where_it_is_sure_and_what_is_hidden()
     assert (matched.confidence[:, 64:] < 0.1).all()
     assert not matched.valid[32:].any()
     assert matched.valid[4:28, 24:].mean() > 0.9
+
+
+def step_at(x_px: int, *, far_px: float, near_px: float) -> DisparityMap:
+    disparity_px = np.full((96, 144), far_px, np.float32)
+    disparity_px[:, x_px:] = near_px
+    return DisparityMap(disparity_px, np.full((96, 144), 0.5, np.float32), disparity_px == near_px)
+
+
+@pytest.mark.parametrize("x_px", range(60, 66))
+def test_between_two_surfaces_no_third_appears_where_a_result_is_shrunken(
+    x_px: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever the step lies in the enlarged views, it comes within a pixel of its place."""
+    monkeypatch.setattr(inference, "_match_views", lambda *_, **__: step_at(x_px, far_px=3.0, near_px=30.0))
+    found = match_with_network(noise(64, 96), noise(64, 96), network=build_network("guided", seed=1), window=(0, 32))
+    assert set(np.unique(found.disparity_px)) == {np.float32(2.0), np.float32(20.0)}
+    x_found_px = np.argmax(found.disparity_px[0] == 20.0)
+    assert abs(x_found_px - x_px / 1.5) <= 1
+    assert np.array_equal(found.valid, found.disparity_px == 20.0)
+
+
+def test_small_views_are_matched_as_if_they_were_larger(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By `guided`, up to a size; by networks that are rows of a published table as they are."""
+    ref, src = (noise(64, 96, seed=seed) for seed in range(2))
+    sizes, results = [], []
+    whole = inference._match_views
+
+    def seen(ref: NDArray[np.float32], src: NDArray[np.float32], **rest: object) -> DisparityMap:
+        sizes.append((ref.shape[:2], rest["window"]))
+        return whole(ref, src, **rest)
+
+    monkeypatch.setattr(inference, "_match_views", seen)
+    for name, most in (("guided", 1280 * 640), ("guided", 7_000), ("guided", 6_000), ("lite", 1280 * 640)):
+        monkeypatch.setattr(inference, "ENLARGED_TO_PIXELS", most)
+        results.append(match_with_network(ref, src, network=build_network(name, seed=1), window=(0, 32)))
+    assert sizes == [((96, 144), (0, 48)), ((68, 102), (0, 36)), ((64, 96), (0, 32)), ((64, 96), (0, 32))]
+    assert all(found.disparity_px.shape == (64, 96) for found in results)

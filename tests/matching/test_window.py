@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from telewide.errors import InputError
-from telewide.matching.window import Window, check_window, halved_window, within_width
+from telewide.matching.window import Window, check_window, scaled_window, within_width
 
 
 @pytest.mark.parametrize(
@@ -26,10 +26,10 @@ def test_a_window_that_lies_beyond_the_picture_is_refused() -> None:
         within_width((4096, 8192), 128)
 
 
+@pytest.mark.parametrize("scale", [0.5, 1.25, 1.5, 1 / 3])
 @pytest.mark.parametrize("window", [(0, 4), (-4, 20), (-12, -4), (4, 44), (8, 64)])
-def test_half_a_window_holds_half_its_disparities(window: Window) -> None:
-    d_min, d_max = halved_window(window)
-    assert 2 * d_min <= window[0]
-    assert window[1] <= 2 * d_max
-    assert (d_max - d_min) * 2 <= window[1] - window[0] + 12
+def test_a_window_at_another_size_holds_its_disparities_and_few_more(window: Window, scale: float) -> None:
+    d_min, d_max = scaled_window(window, scale)
+    assert d_min <= scale * window[0] < d_min + 4
+    assert d_max - 4 < scale * window[1] <= d_max
     check_window((d_min, d_max))

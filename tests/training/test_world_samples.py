@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,7 +11,7 @@ from telewide.training import world_samples
 from telewide.training.objective import Batch
 from telewide.training.options import StageOptions
 from telewide.training.stages import Stage
-from telewide.training.world_samples import WorldBatches, WorldSource
+from telewide.training.world_samples import WorldBatches, WorldCrop, WorldSource, enlarged_crop
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -82,3 +83,33 @@ def _difference(batch: Batch, offset_px: float, seen: torch.Tensor) -> torch.Ten
         a, b = a[mask] - a[mask].mean(), b[mask] - b[mask].mean()
         results.append(1 - (a @ b) / (a.norm() * b.norm() + 1e-6))
     return torch.stack(results)
+
+
+def test_a_plane_that_is_enlarged_is_a_plane_and_a_step_stays_a_step() -> None:
+    """At pixel x' of a picture s times as large lies x = (x' + 0.5) / s - 0.5, with s times the disparity."""
+    x_px = torch.arange(64.0).expand(48, 64)
+    views = torch.zeros(3, 48, 64)
+    behind_px, before_px = 0.1 * x_px, torch.full((48, 64), 30.0)
+    is_before = x_px >= 32
+    crop = WorldCrop(views, views, torch.where(is_before, before_px, behind_px), is_before)
+    larger = enlarged_crop(crop, hw=(72, 96))
+    x_px = ((torch.arange(96.0) + 0.5) / 1.5 - 0.5).expand(72, 96)
+    assert torch.equal(larger.occluded, x_px > 31.5)
+    torch.testing.assert_close(larger.truth_px[:, 48:], torch.full((72, 48), 45.0))
+    off_px = (larger.truth_px - 0.15 * x_px)[:, 1:48].abs()
+    assert float(off_px.max()) <= 0.1, "half a small pixel beside the step, and nothing between both surfaces"
+    assert float(off_px[:, :-2].max()) < 1e-4
+
+
+def test_enlarged_crops_are_warped_onto_each_other_by_their_truth() -> None:
+    worlds = world_samples.worlds_for((5,), crop_hw=(96, 128), crops=2, mine=2)
+    for number in range(4):
+        crop = worlds.crop(number, 0, rng=np.random.default_rng(number), window=(0, 64), scale=0.6)
+        assert crop.truth_px.shape == (58, 77)
+        larger = enlarged_crop(crop, hw=(96, 128))
+        errors = [_difference(_as_batch(larger), offset_px, ~larger.occluded[None]) for offset_px in (0.0, 6.0)]
+        assert float(errors[0]) < float(errors[1])
+
+
+def _as_batch(crop: WorldCrop) -> Batch:
+    return Batch(crop.ref[None], crop.src[None], crop.truth_px[None], n_rehearsed=1, occluded_BHW=crop.occluded[None])
