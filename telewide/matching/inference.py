@@ -168,7 +168,7 @@ def _shrunken(larger: DisparityMap, hw: tuple[int, ...]) -> DisparityMap:
     mean_px, nearest_px = (resized(larger.disparity_px, kind) for kind in (cv2.INTER_AREA, cv2.INTER_NEAREST_EXACT))
     is_surface = np.abs(mean_px - nearest_px) < SAME_SURFACE_PX
     valid = resized(larger.valid.astype(np.float32), cv2.INTER_NEAREST_EXACT) > 0
-    disparity_px = np.where(is_surface, mean_px, nearest_px) / scale
+    disparity_px = np.asarray(np.where(is_surface, mean_px, nearest_px) / scale, dtype=np.float32)
     return DisparityMap(disparity_px, resized(larger.confidence, cv2.INTER_AREA), valid)
 
 
