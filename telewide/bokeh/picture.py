@@ -6,6 +6,7 @@ Letters: H W image.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import FOCUS_WORDS, Focus, find_focus, named_distance_m, named_point
@@ -23,6 +24,7 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
 
+PictureKind = Literal["jpg", "tif"]
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
 
@@ -39,6 +41,8 @@ class BokehOptions:
         equiv_focal_mm: focal length of that lens on 35 mm film.
         aperture: shape of its opening.
         highlights: how many times as bright as white small clipped lights are taken to have been.
+        kinds: of the files it is written to: "jpg", "tif" with 16 bits.
+        is_stripped: whether the files are to say nothing of the photo but its colour profile.
     """
 
     focus: str = "auto"
@@ -48,6 +52,8 @@ class BokehOptions:
     equiv_focal_mm: float = 50.0
     aperture: Aperture = DISK
     highlights: float = 1.0
+    kinds: tuple[PictureKind, ...] = ("jpg",)
+    is_stripped: bool = False
 
     @property
     def has_stated_strength(self) -> bool:

@@ -14,8 +14,8 @@ _SRGB_TOLERANCE = 2
 _log = logging.getLogger("telewide")
 
 
-def srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
-    """Drop alpha, expand palettes, convert the embedded profile to sRGB."""
+def srgb_from_photo(path: Path, photo: Image.Image, *, is_converted: bool = True) -> Image.Image:
+    """Drop alpha, expand palettes, convert the embedded profile to sRGB unless colours stay its own."""
     profile = photo.info.get("icc_profile")
     photo = without_palette(photo)
     if photo.mode in {"RGBA", "LA"}:
@@ -24,7 +24,7 @@ def srgb_from_photo(path: Path, photo: Image.Image) -> Image.Image:
         photo = photo.convert(photo.mode[:-1])
     elif photo.mode not in {"L", "RGB", "CMYK"}:
         photo = photo.convert("L" if photo.mode == "1" else "RGB")
-    if profile:
+    if profile and is_converted:
         photo = _apply_profile(path, photo, profile)
     return photo if photo.mode == "RGB" else photo.convert("RGB")  # which copies
 
@@ -69,6 +69,22 @@ def _is_srgb(profile: ImageCms.ImageCmsProfile) -> bool:
     converted = ImageCms.applyTransform(Image.fromarray(colours), _srgb_transform(profile, "RGB"))
     change = np.abs(np.asarray(converted, dtype=np.int16) - colours.astype(np.int16))
     return int(change.max()) <= _SRGB_TOLERANCE
+
+
+def rgb_profile(profile_bytes: object) -> bytes | None:
+    """Return an embedded profile if it is one of RGB colours that can be read."""
+    if not isinstance(profile_bytes, bytes):
+        return None
+    try:
+        profile = ImageCms.ImageCmsProfile(BytesIO(profile_bytes))
+        return profile_bytes if profile.profile.xcolor_space.strip() == "RGB" else None
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        return None
+
+
+def is_other_than_srgb(profile_bytes: bytes) -> bool:
+    """Whether colours of an RGB profile are others than those of sRGB."""
+    return not _is_srgb(ImageCms.ImageCmsProfile(BytesIO(profile_bytes)))
 
 
 def warn_unless_srgb(path: Path, profile_bytes: object) -> None:

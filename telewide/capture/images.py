@@ -36,11 +36,12 @@ _TAG_ORIENTATION = 274
 _REDUCED = {"L", "LA", "RGB", "RGBA", "CMYK"}
 
 
-def read_image(path: Path) -> FloatImage:
+def read_image(path: Path, *, is_converted: bool = True) -> FloatImage:
     """Read a photo upright, as sRGB.
 
     Args:
         path: a JPEG, PNG, TIFF, WebP, HEIC, AVIF, DNG or other RAW file.
+        is_converted: whether colours of another profile become sRGB; else they stay those of the profile.
 
     Returns:
         (H, W, 3) RGB float32 in [0, 1].
@@ -54,17 +55,17 @@ def read_image(path: Path) -> FloatImage:
     try:
         if kind == "RAW":
             return show_as_srgb(develop(path, data))
-        return _decoded(path, data, kind)
+        return _decoded(path, data, kind, is_converted=is_converted)
     except MemoryError as error:
         raise InputError(f"{path} takes more memory than there is", hint="export the photo smaller") from error
 
 
-def _decoded(path: Path, data: bytes, kind: PhotoFormat) -> FloatImage:
+def _decoded(path: Path, data: bytes, kind: PhotoFormat, *, is_converted: bool) -> FloatImage:
     """Return a photo that is no RAW, upright."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF and on photos above 89 megapixels
-            samples, orientation = _decode(path, data, kind)
+            samples, orientation = _decode(path, data, kind, is_converted=is_converted)
     except (TelewideError, MemoryError):
         raise
     except Exception as error:  # the decoders fail on damaged files in a dozen ways
@@ -155,7 +156,7 @@ def _reason(error: Exception) -> str:
     return "nothing in it can be recognised" if isinstance(error, UnidentifiedImageError) or not said else said
 
 
-def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
+def _decode(path: Path, data: bytes, kind: PhotoFormat, *, is_converted: bool) -> tuple[Samples, int]:
     """Return the samples, in the size a photo is read in, as sRGB, and the EXIF orientation still to be applied."""
     if kind == "TIFF":
         deep = decode_deep_tiff(path, data)
@@ -179,7 +180,8 @@ def _decode(path: Path, data: bytes, kind: PhotoFormat) -> tuple[Samples, int]:
         if is_read_halved(hw) and (photo.height, photo.width) == hw:
             shown = without_palette(photo)
             shown = shown.reduce(2) if shown.mode in _REDUCED else shown  # before anything else is copied
-        return at_read_size(path, np.asarray(srgb_from_photo(path, shown)), hw), orientation
+        shown = srgb_from_photo(path, shown, is_converted=is_converted)
+        return at_read_size(path, np.asarray(shown), hw), orientation
 
 
 def _three_channels(samples: Samples) -> Samples:

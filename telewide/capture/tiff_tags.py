@@ -16,7 +16,7 @@ MOST_VALUES = 1 << 20
 MOST_DIRECTORIES = 64
 _MOST_ENTRIES = 4096
 _MOST_BYTES = 1 << 16
-_SUB_DIRECTORIES, _EXIF_DIRECTORY = 330, 34665
+_SUB_DIRECTORIES, _EXIF_DIRECTORY, _GPS_DIRECTORY = 330, 34665, 34853
 _TEXTS = {2, 7}
 # Letters of `struct` by type; a fraction is two numbers.
 _LETTERS = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II", 6: "b", 7: "s", 8: "h", 9: "i", 10: "ii", 11: "f", 12: "d"}
@@ -71,6 +71,27 @@ def read_tags(stream: BinaryIO, wanted: Collection[int]) -> dict[int, object]:
     except (ValueError, struct.error, OSError):  # cut off
         return tags
     return tags
+
+
+def stated_bytes(stream: BinaryIO) -> int:
+    """Count the bytes that the tags of the first directory, of EXIF and of GPS state, which their reader takes up.
+
+    Args:
+        stream: the file, open for reading; it is left at its beginning.
+
+    Raises:
+        ValueError: no TIFF, cut off, or a directory of thousands of tags.
+    """
+    try:
+        layout, place = _opened(stream)
+        entries, _ = _directory(stream, layout, place)
+        for below in [entry for entry in entries if entry.tag in {_EXIF_DIRECTORY, _GPS_DIRECTORY}]:
+            entries = entries + _directory(stream, layout, int(_values(stream, layout, below)[0]))[0]
+    except (struct.error, OSError, IndexError) as error:
+        raise ValueError("its tags are cut off") from error
+    finally:
+        stream.seek(0)
+    return sum(entry.n_bytes for entry in entries)
 
 
 def check_directories(stream: BinaryIO) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -12,7 +12,7 @@ from telewide.errors import UsageError
 
 if TYPE_CHECKING:
     from telewide.bokeh.aperture import Aperture
-    from telewide.bokeh.picture import BokehOptions
+    from telewide.bokeh.picture import BokehOptions, PictureKind
 
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|2.5m|near|far|auto", help="What is sharp in the bokeh.")]
 FNumberOption = Annotated[
@@ -39,6 +39,13 @@ HighlightsOption = Annotated[
     float, typer.Option(metavar="TIMES", help="How much brighter than white small clipped lights were; 8, say.")
 ]
 
+PictureOption = Annotated[
+    str | None, typer.Option(metavar="KIND,...", help="Files of the bokeh: jpg, tif (16 bits). [default: jpg]")
+]
+StripOption = Annotated[
+    bool, typer.Option("--strip", help="Leave EXIF, GPS, date and XMP of the photo out of the bokeh.")
+]
+
 
 @dataclass(frozen=True)
 class BokehWords:
@@ -50,6 +57,8 @@ class BokehWords:
     strength: str | None = None
     blades: str | None = None
     highlights: float = 1.0
+    kinds: str | None = None
+    is_stripped: bool = False
 
     def options(self) -> BokehOptions:
         """Turn them into the options of the bokeh picture.
@@ -79,6 +88,8 @@ class BokehWords:
             equiv_focal_mm=self.f35_mm or BokehOptions.equiv_focal_mm,
             aperture=DISK if self.blades is None else _aperture(self.blades),
             highlights=self.highlights,
+            kinds=("jpg",) if self.kinds is None else _kinds(self.kinds),
+            is_stripped=self.is_stripped,
         )
 
     def options_if(self, *, is_asked: bool) -> BokehOptions | None:
@@ -94,7 +105,8 @@ class BokehWords:
             return self.options()
         if self != BokehWords():
             raise UsageError(
-                "--focus, --f-number, --equiv-focal, --strength, --blades and --highlights shape the bokeh picture",
+                "--focus, --f-number, --equiv-focal, --strength, --blades, --highlights, --picture and --strip shape "
+                "the bokeh picture",
                 hint="add --bokeh",
             )
         return None
@@ -112,6 +124,16 @@ def _strength(text: str) -> tuple[float | None, float | None]:
             f"--strength {text}: a radius above 0 was expected, in px or, such as 1.5%, of the longer side"
         )
     return (None, value / 100) if is_share else (value, None)
+
+
+def _kinds(text: str) -> tuple[PictureKind, ...]:
+    from telewide.bokeh.picture import PictureKind
+
+    known = get_args(PictureKind)
+    named = {word.strip().lower() for word in text.split(",")}
+    if not named <= set(known):
+        raise UsageError(f"--picture {text}: {' or '.join(known)} was expected, or both with a comma between")
+    return tuple(kind for kind in known if kind in named)
 
 
 def _aperture(text: str) -> Aperture:

@@ -24,7 +24,9 @@ from telewide.cli.bokeh import (
     FNumberOption,
     FocusOption,
     HighlightsOption,
+    PictureOption,
     StrengthOption,
+    StripOption,
 )
 from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cores import Device
@@ -58,6 +60,8 @@ def depth(
     strength: StrengthOption = None,
     blades: BladesOption = None,
     highlights: HighlightsOption = 1.0,
+    picture: PictureOption = None,
+    strip: StripOption = False,
     rig: RigOption = None,
     distance: DistanceOption = None,
     only: OnlyOption = None,
@@ -68,7 +72,14 @@ def depth(
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
     words = BokehWords(
-        focus=focus, f_number=f_number, f35_mm=f35_mm, strength=strength, blades=blades, highlights=highlights
+        focus=focus,
+        f_number=f_number,
+        f35_mm=f35_mm,
+        strength=strength,
+        blades=blades,
+        highlights=highlights,
+        kinds=picture,
+        is_stripped=strip,
     )
     _refuse_beside_sgm(method, weights, device)
     options = depth_options(

@@ -25,7 +25,9 @@ from telewide.cli.bokeh import (
     FNumberOption,
     FocusOption,
     HighlightsOption,
+    PictureOption,
     StrengthOption,
+    StripOption,
 )
 from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cli.depth import depth_as_json, depth_options, say_depth, why_not_good
@@ -46,6 +48,8 @@ def run_everything(
     strength: StrengthOption = None,
     blades: BladesOption = None,
     highlights: HighlightsOption = 1.0,
+    picture: PictureOption = None,
+    strip: StripOption = False,
     rig: RigOption = None,
     distance: DistanceOption = None,
     device: DeviceOption = "auto",
@@ -58,7 +62,14 @@ def run_everything(
     from telewide.recipe import load_recipe
 
     words = BokehWords(
-        focus=focus, f_number=f_number, f35_mm=f35_mm, strength=strength, blades=blades, highlights=highlights
+        focus=focus,
+        f_number=f_number,
+        f35_mm=f35_mm,
+        strength=strength,
+        blades=blades,
+        highlights=highlights,
+        kinds=picture,
+        is_stripped=strip,
     )
     options = depth_options(
         method="network",

@@ -10,6 +10,7 @@ import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 import cv2
@@ -17,9 +18,12 @@ import numpy as np
 
 from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
-from telewide.capture.images import write_image
+from telewide.capture.carried import CarriedFacts, read_carried
+from telewide.capture.colour_profiles import is_other_than_srgb
+from telewide.capture.images import read_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.capture.photo_store import PhotoStore
+from telewide.capture.pictures import PictureFacts, write_picture
 from telewide.correction.moving import MovedRegion, moving_mask
 from telewide.depth.edges import follow_edges
 from telewide.depth.export import write_depth
@@ -47,6 +51,7 @@ from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.kept_depth import (
     BOKEH_NAME,
+    BOKEH_NAMES,
     FILE_NAMES,
     KEPT_NAME,
     KeptDepth,
@@ -167,7 +172,8 @@ def depth_of_capture(
         lying = made = read_kept(folder, key)
         if made is None:
             refuse_results_of_another(folder, source.tele_path)
-            refuse_foreign_files(folder, (*FILE_NAMES[: None if bokeh else -1], KEPT_NAME))
+            depth_names = [name for name in FILE_NAMES if name not in BOKEH_NAMES]
+            refuse_foreign_files(folder, (*depth_names, *_bokeh_names(bokeh), KEPT_NAME))
             with within_memory("its depth"):
                 computed = _compute(
                     source, held_out, photos, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot
@@ -183,13 +189,22 @@ def depth_of_capture(
 
 
 @dataclass(frozen=True)
+class _Picture:
+    """A bokeh picture, what it says of itself, and the names of its files."""
+
+    pixels: FloatMap
+    facts: PictureFacts
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class _Computed:
     """All that is to be written of one capture, upright; `bokeh_notes` without a picture say why there is none."""
 
     photo: FloatMap
     result: DepthResult
     metric_notes: tuple[str, ...]
-    picture: FloatMap | None
+    picture: _Picture | None
     bokeh_notes: tuple[str, ...]
     numbers: Mapping[str, float]
     withheld: str | None = None
@@ -227,10 +242,12 @@ def _compute(
         numbers["3PE"] = three_pixel_error(result.disparity.disparity_px, truth_px)
         numbers["EPE_px"] = end_point_error_px(result.disparity.disparity_px, truth_px)
     photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
-    picture: FloatMap | None = None
+    picture: _Picture | None = None
     told: tuple[str, ...] = ()
     if bokeh is not None:
-        picture, told, focused = _blurred(photo, result, bokeh)
+        carried = read_carried(source.tele_path)
+        own = _in_own_colours(photo, source, carried, rotated_deg=0 if shot is not None else facts.rotated_deg)
+        picture, told, focused = _blurred(own, result, bokeh, carried=carried)
         numbers |= focused
     numbers["total_s"] = time.monotonic() - begun_s
     return _Computed(
@@ -244,9 +261,16 @@ def _compute(
     )
 
 
+def _in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, rotated_deg: int) -> FloatMap:
+    """The photo in the colours of its profile, which may be wider than sRGB; light adds up in those as well."""
+    if carried.profile is None or not is_other_than_srgb(carried.profile):
+        return photo
+    return upright(read_image(source.tele_path, is_converted=False), rotated_deg=rotated_deg)
+
+
 def _blurred(
-    photo: FloatMap, result: DepthResult, bokeh: BokehOptions
-) -> tuple[FloatMap | None, tuple[str, ...], dict[str, float]]:
+    photo: FloatMap, result: DepthResult, bokeh: BokehOptions, *, carried: CarriedFacts
+) -> tuple[_Picture | None, tuple[str, ...], dict[str, float]]:
     """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
     refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m, has_metres=result.depth_m is not None)
     if refusal is not None:
@@ -257,14 +281,21 @@ def _blurred(
         focus=bokeh.focus,
         disparity_at_m=result.disparity_at,
     )
-    picture = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
+    pixels = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)
     focused = _focus_numbers(focus, result)
     depth_m, std_m = focused.get("focus_m"), focused.get("focus_std_m")
     note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=bokeh)
     held_back = held_back_note(
         result.name, result.disparity.disparity_px, focus, options=bokeh, baseline_m=result.baseline_m
     )
+    software, done = f"telewide {metadata.version('telewide')}", note.removeprefix(f"{result.name}: ")
+    said = PictureFacts(software=software, done=done, of_photo=carried, is_stripped=bokeh.is_stripped)
+    picture = _Picture(pixels, said, _bokeh_names(bokeh))
     return picture, tuple(told for told in (note, held_back) if told is not None), focused
+
+
+def _bokeh_names(bokeh: BokehOptions | None) -> tuple[str, ...]:
+    return () if bokeh is None else tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in bokeh.kinds)
 
 
 def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
@@ -273,12 +304,14 @@ def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
     notes = (*notes, *computed.bokeh_notes)
     if computed.picture is not None:
-        write_image(folder / BOKEH_NAME, computed.picture)
-        names.append(BOKEH_NAME)
-    elif not computed.bokeh_notes and _has_bokeh_of(former, folder / "disparity.pfm"):
-        with replacing(folder / BOKEH_NAME) as temporary:
-            shutil.copyfile(former / BOKEH_NAME, temporary)
-        names.append(BOKEH_NAME)
+        for name in computed.picture.names:
+            write_picture(folder / name, computed.picture.pixels, facts=computed.picture.facts)
+            names.append(name)
+    elif not computed.bokeh_notes:
+        for name in _bokeh_of(former, folder / "disparity.pfm"):
+            with replacing(folder / name) as temporary:
+                shutil.copyfile(former / name, temporary)
+            names.append(name)
     return KeptDepth(tuple(names), notes, computed.numbers, computed.withheld)
 
 
@@ -311,12 +344,13 @@ def _mirrored(disparity: DisparityMap) -> DisparityMap:
     return DisparityMap(disparity.disparity_px[:, ::-1], disparity.confidence[:, ::-1], disparity.valid[:, ::-1])
 
 
-def _has_bokeh_of(folder: Path, disparity: Path) -> bool:
-    """Whether a bokeh lies there that was made of this very disparity."""
-    if not {BOKEH_NAME, disparity.name} <= listed_files(folder):
-        return False
-    paths = (folder / BOKEH_NAME, folder / disparity.name)
-    return all(is_file(path) for path in paths) and fingerprint(paths[1]) == fingerprint(disparity)
+def _bokeh_of(folder: Path, disparity: Path) -> list[str]:
+    """Names of the bokeh files there that were made of this very disparity."""
+    lying = listed_files(folder)
+    names = [name for name in BOKEH_NAMES if name in lying and is_file(folder / name)]
+    former = folder / disparity.name
+    is_same = bool(names) and disparity.name in lying and is_file(former)
+    return names if is_same and fingerprint(former) == fingerprint(disparity) else []
 
 
 def _result_of_shot(

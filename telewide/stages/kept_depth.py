@@ -20,7 +20,8 @@ from telewide.text import shortened
 FORMAT = 5
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
-FILE_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png", BOKEH_NAME)
+BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif")
+FILE_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png", *BOKEH_NAMES)
 """Of all files of one capture; some are left out where they cannot be made."""
 
 

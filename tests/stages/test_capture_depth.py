@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
+from capture.profiles import DISPLAY_P3, matrix_profile
 from PIL import Image, ImageOps
 from rig_worlds import phone_rig
 
@@ -88,6 +90,27 @@ def test_files_of_a_capture_lie_over_each_other_upright(capture: Capture, tmp_pa
     np.testing.assert_array_equal(shown, stored)
     assert read_pfm(tmp_path / "disparity.pfm").shape == standing.shape[:2]
     np.testing.assert_allclose(read_image(tmp_path / "bokeh.jpg"), shown, atol=0.02)
+
+
+def test_bokeh_keeps_the_colours_and_the_words_of_its_photo(capture: Capture, tmp_path: Path) -> None:
+    profile, exif = matrix_profile(DISPLAY_P3, 2.2), Image.Exif()
+    exif[272] = "Phone 8"
+    pure_red = Image.new("RGB", (HW[1], HW[0]), (255, 0, 0))  # of Display P3: outside of sRGB
+    capture = dataclasses.replace(capture, tele_path=capture.tele_path.with_suffix(".jpg"))
+    pure_red.save(capture.tele_path, icc_profile=profile, exif=exif, quality=100, subsampling=0)
+    bokeh = BokehOptions(strength_px=3.0, kinds=("jpg", "tif"))
+    assert {"bokeh.jpg", "bokeh.tif"} <= {path.name for path in made(capture, tmp_path, bokeh=bokeh).paths}
+    for name in ("bokeh.jpg", "bokeh.tif"):
+        with Image.open(tmp_path / name) as picture:
+            assert picture.info["icc_profile"] == profile
+            assert picture.getexif()[272] == "Phone 8"
+    blurred = tifffile.imread(tmp_path / "bokeh.tif") / 65535
+    np.testing.assert_allclose(blurred, np.broadcast_to([1, 0, 0], (*HW, 3)), atol=0.01)
+    stripped = dataclasses.replace(bokeh, kinds=("jpg",), is_stripped=True)
+    assert tmp_path / "bokeh.tif" not in made(capture, tmp_path, bokeh=stripped).paths
+    assert not (tmp_path / "bokeh.tif").exists()
+    with Image.open(tmp_path / "bokeh.jpg") as picture:
+        assert not picture.getexif()
 
 
 def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Capture, tmp_path: Path) -> None:

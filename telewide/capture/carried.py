@@ -1,0 +1,222 @@
+"""What a picture made from a photo goes on to say of it: EXIF, XMP and colour profile.
+
+Left out is what would be false of the picture: thumbnails, turns, places counted in stored pixels, maker's notes (their
+offsets break, and some name other files), and of XMP whatever points at data of the photo's own file (motion, depth).
+"""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+from xml.etree import ElementTree
+
+from PIL import Image
+
+from telewide.capture.colour_profiles import rgb_profile
+from telewide.capture.formats import HEAD_BYTES, TAG_DNG_VERSION, format_by_head, read_bytes
+from telewide.capture.pillow_photos import exif_of, open_photo
+from telewide.capture.tiff_tags import stated_bytes
+from telewide.files import open_regular
+
+_IFD_EXIF, _IFD_GPS = 34665, 34853
+_ORIENTATION, _SOFTWARE, _XMP, _PHOTOMETRIC, _PROFILE = 274, 305, 700, 262, 34675
+_RGB = 2
+_MOST_TAG_BYTES = 1 << 24
+_WIDTH, _HEIGHT, _CUSTOM_RENDERED = 40962, 40963, 41985
+# ImageDescription, Make, Model, resolution and its unit, DateTime, Artist, Copyright.
+_LASTING = (270, 271, 272, 282, 283, 296, 306, 315, 33432)
+# MakerNote, SubjectArea, SubjectLocation, Interoperability, ImageUniqueID, CompressedBitsPerPixel, RelatedSoundFile.
+_FALSE_OF_A_PICTURE = {37500, 37396, 41492, 40965, 42016, 37122, 40964}
+# What EXIF 2.32 wants of every JPEG: 72 px an inch, chroma sited between pixels; the versions, channels Y Cb Cr, sRGB.
+_REQUIRED = {282: 72.0, 283: 72.0, 296: 2, 531: 1}
+_REQUIRED_OF_EXIF = {36864: b"0232", 37121: b"\1\2\3\0", 40960: b"0100", 40961: 1}
+_UNDEFINED = {_IFD_EXIF: {34856, 36864, 37121, 37510, 40960, 41728, 41729, 41730, 41995}, _IFD_GPS: {27, 28}}
+_REQUIRED_OF_GPS = {0: b"\2\3\0\0"}
+_MOST_EXIF_BYTES, _MOST_XMP_BYTES = 65000, 60000
+
+_RDF, _META = "http://www.w3.org/1999/02/22-rdf-syntax-ns#", "adobe:ns:meta/"
+_HISTORY, _EVENT = "http://ns.adobe.com/xap/1.0/mm/", "http://ns.adobe.com/xap/1.0/sType/ResourceEvent#"
+_LASTING_SPACES = {
+    "dc": "http://purl.org/dc/elements/1.1/",
+    "xmp": "http://ns.adobe.com/xap/1.0/",
+    "xmpRights": "http://ns.adobe.com/xap/1.0/rights/",
+    "photoshop": "http://ns.adobe.com/photoshop/1.0/",
+    "Iptc4xmpCore": "http://iptc.org/std/Iptc4xmpCore/1.0/xmlns/",
+    "Iptc4xmpExt": "http://iptc.org/std/Iptc4xmpExt/2008-02-29/",
+    "aux": "http://ns.adobe.com/exif/1.0/aux/",
+    "lr": "http://ns.adobe.com/lightroom/1.0/",
+}
+_FALSE_OF_XMP = {f"{{{_LASTING_SPACES['xmp']}}}Thumbnails"}
+_SPELLED = {**_LASTING_SPACES, "rdf": _RDF, "x": _META, "xmpMM": _HISTORY, "stEvt": _EVENT}
+_BEGIN = '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
+_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
+
+
+@dataclass(frozen=True)
+class CarriedFacts:
+    """Facts of a photo that hold of a picture made from it.
+
+    Attributes:
+        lasting: tags of the first directory of its EXIF.
+        exif: tags of the EXIF directory.
+        gps: tags of the GPS directory.
+        xmp: its packet, as it stands in the file; empty where there is none.
+        profile: its colour profile (ICC); None where it has none, or one that is not of RGB.
+    """
+
+    lasting: Mapping[int, object]
+    exif: Mapping[int, object]
+    gps: Mapping[int, object]
+    xmp: bytes = b""
+    profile: bytes | None = None
+
+    def exif_bytes(self, *, wh: tuple[int, int], software: str) -> bytes:
+        """Write EXIF of an upright picture.
+
+        Args:
+            wh: width and height, px.
+            software: what made it.
+        """
+        exif = Image.Exif()
+        for tag, value in {**_REQUIRED, **self.lasting}.items():
+            exif[tag] = value
+        exif[_ORIENTATION], exif[_SOFTWARE] = 1, software
+        own = {_WIDTH: wh[0], _HEIGHT: wh[1], _CUSTOM_RENDERED: 1}
+        exif[_IFD_EXIF] = {**_REQUIRED_OF_EXIF, **self.exif, **own}
+        if self.gps:
+            exif[_IFD_GPS] = {**_REQUIRED_OF_GPS, **self.gps}
+        return _with_undefined(exif.tobytes())
+
+    def xmp_packet(self, *, software: str, done: str) -> bytes:
+        """Write XMP of a picture: what holds of the photo, and what was done.
+
+        Args:
+            software: what made it.
+            done: in words.
+        """
+        root = ElementTree.Element(f"{{{_META}}}xmpmeta")
+        rdf = ElementTree.SubElement(root, f"{{{_RDF}}}RDF")
+        rdf.extend(_lasting_descriptions(self.xmp))
+        about = ElementTree.SubElement(rdf, f"{{{_RDF}}}Description", {f"{{{_RDF}}}about": ""})
+        events = ElementTree.SubElement(ElementTree.SubElement(about, f"{{{_HISTORY}}}History"), f"{{{_RDF}}}Seq")
+        event = ElementTree.SubElement(events, f"{{{_RDF}}}li", {f"{{{_RDF}}}parseType": "Resource"})
+        for name, said in (("action", "filtered"), ("softwareAgent", software), ("parameters", done)):
+            ElementTree.SubElement(event, f"{{{_EVENT}}}{name}").text = said
+        for prefix, space in _SPELLED.items():
+            ElementTree.register_namespace(prefix, space)
+        return f'{_BEGIN}{ElementTree.tostring(root, encoding="unicode")}\n<?xpacket end="w"?>'.encode()
+
+
+def read_carried(path: Path) -> CarriedFacts:
+    """Read what a photo says of itself that will hold of a picture made from it.
+
+    Args:
+        path: a photo; of one that is damaged, what can be read.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: no photo.
+    """
+    kind = format_by_head(path, read_bytes(path, at_most=HEAD_BYTES))
+    with open_regular(path) as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
+        with suppress(*_DAMAGES):
+            if kind in {"RAW", "TIFF"}:
+                return _carried_of_tiff(stream)
+            with open_photo(path, stream, kind) as photo:
+                stated = photo.info.get("xmp", photo.info.get("XML:com.adobe.xmp"))
+                return _carried(exif_of(photo, stream=stream), stated, rgb_profile(photo.info.get("icc_profile")))
+    return CarriedFacts({}, {}, {})
+
+
+def _carried_of_tiff(stream: BinaryIO) -> CarriedFacts:
+    if stated_bytes(stream) > _MOST_TAG_BYTES:
+        return CarriedFacts({}, {}, {})
+    exif = Image.Exif()
+    exif.load_from_fp(stream)
+    is_raw = TAG_DNG_VERSION in exif or exif.get(_PHOTOMETRIC) != _RGB  # its profile is none of a picture
+    return _carried(exif, exif.get(_XMP), None if is_raw else rgb_profile(exif.get(_PROFILE)))
+
+
+def _carried(exif: Image.Exif, xmp: object, profile: bytes | None) -> CarriedFacts:
+    own = {tag: exif[tag] for tag in _LASTING if tag in exif}
+    facts = CarriedFacts(
+        _writable(own),
+        _writable({tag: v for tag, v in exif.get_ifd(_IFD_EXIF).items() if tag not in _FALSE_OF_A_PICTURE}, _IFD_EXIF),
+        _writable(exif.get_ifd(_IFD_GPS), _IFD_GPS),
+        _as_packet(xmp),
+        profile,
+    )
+    return (
+        facts
+        if len(facts.exif_bytes(wh=(1, 1), software="")) <= _MOST_EXIF_BYTES
+        else CarriedFacts({}, {}, {}, facts.xmp, facts.profile)
+    )
+
+
+def _with_undefined(exif: bytes) -> bytes:
+    """Give bytes of no type the type 7, UNDEFINED: Pillow writes some as type 1 (CIPA DC-008, 4.6.2)."""
+    patched = bytearray(exif)
+    order = "<" if exif[6:8] == b"II" else ">"
+    (first,) = struct.unpack_from(f"{order}I", exif, 10)
+    for tag, _, place in _entries(exif, order, first):
+        if tag in {_IFD_EXIF, _IFD_GPS}:
+            (below,) = struct.unpack_from(f"{order}I", exif, place + 8)
+            for inner, kind, at in _entries(exif, order, below):
+                if kind == 1 and inner in _UNDEFINED[tag]:
+                    struct.pack_into(f"{order}H", patched, at + 2, 7)
+    return bytes(patched)
+
+
+def _entries(exif: bytes, order: str, directory: int) -> Iterator[tuple[int, int, int]]:
+    """Tag, type and place of each entry; places in EXIF count from behind its six letters."""
+    (count,) = struct.unpack_from(f"{order}H", exif, directory + 6)
+    for place in range(directory + 8, directory + 8 + 12 * count, 12):
+        yield *struct.unpack_from(f"{order}HH", exif, place), place
+
+
+def _as_packet(xmp: object) -> bytes:
+    packet = xmp.encode() if isinstance(xmp, str) else xmp
+    return packet if isinstance(packet, bytes) and len(packet) <= _MOST_XMP_BYTES else b""
+
+
+def _writable(tags: Mapping[int, object], directory: int | None = None) -> dict[int, object]:
+    """Leave out what no EXIF can hold: a damaged value is found when it is written."""
+    kept = {}
+    for tag, value in tags.items():
+        exif = Image.Exif()
+        with suppress(Exception):  # in a dozen ways
+            if directory is None:
+                exif[tag] = value
+            else:
+                exif[directory] = {tag: value}
+            exif.tobytes()
+            kept[tag] = value
+    return kept
+
+
+def _lasting_descriptions(packet: bytes) -> list[ElementTree.Element]:
+    """What is said in lasting terms; nothing of a packet that declares entities, which may grow without end."""
+    if not packet or b"<!" in packet:
+        return []
+    try:
+        root = ElementTree.fromstring(packet.strip(b"\0 \r\n\t\xef\xbb\xbf"))
+    except (ElementTree.ParseError, ValueError, LookupError):
+        return []
+    kept = []
+    for description in root.iter(f"{{{_RDF}}}Description"):
+        lasting = ElementTree.Element(description.tag, {f"{{{_RDF}}}about": ""})
+        lasting.attrib.update({name: text for name, text in description.attrib.items() if _is_lasting(name)})
+        lasting.extend(child for child in description if _is_lasting(child.tag))
+        if len(lasting) or len(lasting.attrib) > 1:
+            kept.append(lasting)
+    return kept
+
+
+def _is_lasting(name: str) -> bool:
+    return name[1:].partition("}")[0] in _LASTING_SPACES.values() and name not in _FALSE_OF_XMP

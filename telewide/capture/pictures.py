@@ -1,0 +1,99 @@
+"""Write pictures to keep: JPEG with whole colours, 16-bit TIFF; with what the photo said of itself.
+
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from PIL import Image
+
+from telewide.capture.carried import CarriedFacts
+from telewide.errors import UsageError
+from telewide.files import replacing
+from telewide.geometry.arrays import FloatImage
+
+QUALITY = 95
+_XMP, _BYTE, _ASCII = 700, 1, 2
+_TEXTS = (270, 271, 272, 306, 315, 33432)
+
+
+@dataclass(frozen=True)
+class PictureFacts:
+    """What a picture says of itself.
+
+    Attributes:
+        software: what made it; empty says nothing.
+        done: what was done to the photo, in words.
+        of_photo: what holds of the photo it was made from.
+        is_stripped: whether it says nothing but its colour profile.
+    """
+
+    software: str = ""
+    done: str = ""
+    of_photo: CarriedFacts = field(default_factory=lambda: CarriedFacts({}, {}, {}))
+    is_stripped: bool = False
+
+
+def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None:
+    """Write an upright picture, whole or not at all.
+
+    Args:
+        path: ends in .jpg (8 bits, no colour subsampled) or .tif (16 bits, deflated).
+        image: (H, W, 3) RGB in [0, 1], encoded as the photo's profile says; values outside are clipped.
+        facts: what it says of itself.
+
+    Raises:
+        UsageError: another suffix, or the place cannot be written.
+    """
+    writers = {".jpg": _jpeg, ".tif": _tiff}
+    if path.suffix not in writers:
+        raise UsageError(f"{path}: a picture is written as {' or '.join(writers)}")
+    encoded = writers[path.suffix](np.clip(np.nan_to_num(image, nan=0.0), 0, 1), facts)
+    with replacing(path) as temporary:
+        temporary.write_bytes(encoded)
+
+
+def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
+    told: dict[str, bytes] = {}
+    of_photo = facts.of_photo
+    if not facts.is_stripped:
+        wh = image.shape[1], image.shape[0]
+        told["exif"] = of_photo.exif_bytes(wh=wh, software=facts.software)
+        told["xmp"] = of_photo.xmp_packet(software=facts.software, done=facts.done)
+    if of_photo.profile is not None:
+        told["icc_profile"] = of_photo.profile
+    stream = BytesIO()
+    levels = Image.fromarray((image * 255 + 0.5).astype(np.uint8))
+    levels.save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
+    return stream.getvalue()
+
+
+def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
+    tags: list[tuple[int, int, int, object, bool]] = []
+    of_photo = facts.of_photo
+    if not facts.is_stripped:
+        packet = of_photo.xmp_packet(software=facts.software, done=facts.done)
+        tags.append((_XMP, _BYTE, len(packet), packet, True))
+        texts = {tag: text for tag in _TEXTS if isinstance(text := of_photo.lasting.get(tag), str) and text.isascii()}
+        tags.extend((tag, _ASCII, len(text) + 1, text, True) for tag, text in texts.items())
+    stream = BytesIO()
+    tifffile.imwrite(
+        stream,
+        (image * 65535 + 0.5).astype(np.uint16),
+        photometric="rgb",
+        compression="adobe_deflate",
+        compressionargs={"level": 1},
+        predictor=True,
+        rowsperstrip=256,
+        software=False if facts.is_stripped else facts.software,
+        metadata=None,
+        iccprofile=of_photo.profile,
+        extratags=tags,
+    )
+    return stream.getvalue()
