@@ -1,4 +1,4 @@
-"""What a picture made from a photo goes on to say of it: EXIF, XMP and colour profile.
+"""Facts that a picture takes over from its photo: EXIF, XMP and colour profile.
 
 Left out is what would be false of the picture: thumbnails, turns, places counted in stored pixels, maker's notes (their
 offsets break, and some name other files), and of XMP whatever points at data of the photo's own file (motion, depth).
@@ -10,7 +10,7 @@ import struct
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 from xml.etree import ElementTree
@@ -146,17 +146,14 @@ def _carried_of_tiff(stream: BinaryIO) -> CarriedFacts:
 def _carried(exif: Image.Exif, xmp: object, profile: bytes | None) -> CarriedFacts:
     own = {tag: exif[tag] for tag in _LASTING if tag in exif}
     facts = CarriedFacts(
-        _writable(own),
-        _writable({tag: v for tag, v in exif.get_ifd(_IFD_EXIF).items() if tag not in _FALSE_OF_A_PICTURE}, _IFD_EXIF),
-        _writable(exif.get_ifd(_IFD_GPS), _IFD_GPS),
-        _as_packet(xmp),
-        profile,
+        lasting=_writable(own),
+        exif=_writable({t: v for t, v in exif.get_ifd(_IFD_EXIF).items() if t not in _FALSE_OF_A_PICTURE}, _IFD_EXIF),
+        gps=_writable(exif.get_ifd(_IFD_GPS), _IFD_GPS),
+        xmp=_as_packet(xmp),
+        profile=profile,
     )
-    return (
-        facts
-        if len(facts.exif_bytes(wh=(1, 1), software="")) <= _MOST_EXIF_BYTES
-        else CarriedFacts({}, {}, {}, facts.xmp, facts.profile)
-    )
+    is_short = len(facts.exif_bytes(wh=(1, 1), software="")) <= _MOST_EXIF_BYTES
+    return facts if is_short else replace(facts, lasting={}, exif={}, gps={})
 
 
 def _with_undefined(exif: bytes) -> bytes:
@@ -201,7 +198,7 @@ def _writable(tags: Mapping[int, object], directory: int | None = None) -> dict[
 
 
 def _lasting_descriptions(packet: bytes) -> list[ElementTree.Element]:
-    """What is said in lasting terms; nothing of a packet that declares entities, which may grow without end."""
+    """Descriptions in lasting terms; nothing of a packet that declares entities, which may grow without end."""
     if not packet or b"<!" in packet:
         return []
     try:

@@ -25,7 +25,7 @@ _TEXTS = (270, 271, 272, 306, 315, 33432)
 
 @dataclass(frozen=True)
 class PictureFacts:
-    """What a picture says of itself.
+    """Facts that a picture states of itself.
 
     Attributes:
         software: what made it; empty says nothing.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
@@ -57,8 +57,13 @@ class BokehWords:
     strength: str | None = None
     blades: str | None = None
     highlights: float = 1.0
-    kinds: str | None = None
-    is_stripped: bool = False
+    picture: str | None = None
+    strip: bool = False
+
+    @classmethod
+    def of_call(cls, context: typer.Context) -> BokehWords:
+        """Gather them from the options of a command, which have the names of the fields."""
+        return cls(**{each.name: context.params[each.name] for each in fields(cls)})
 
     def options(self) -> BokehOptions:
         """Turn them into the options of the bokeh picture.
@@ -88,8 +93,8 @@ class BokehWords:
             equiv_focal_mm=self.f35_mm or BokehOptions.equiv_focal_mm,
             aperture=DISK if self.blades is None else _aperture(self.blades),
             highlights=self.highlights,
-            kinds=("jpg",) if self.kinds is None else _kinds(self.kinds),
-            is_stripped=self.is_stripped,
+            kinds=("jpg",) if self.picture is None else _kinds(self.picture),
+            is_stripped=self.strip,
         )
 
     def options_if(self, *, is_asked: bool) -> BokehOptions | None:

@@ -71,16 +71,7 @@ def depth(
     quiet: QuietOption = False,
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
-    words = BokehWords(
-        focus=focus,
-        f_number=f_number,
-        f35_mm=f35_mm,
-        strength=strength,
-        blades=blades,
-        highlights=highlights,
-        kinds=picture,
-        is_stripped=strip,
-    )
+    words = BokehWords.of_call(context)
     _refuse_beside_sgm(method, weights, device)
     options = depth_options(
         method=method,

@@ -61,16 +61,7 @@ def run_everything(
     from telewide.pipeline import run_captures
     from telewide.recipe import load_recipe
 
-    words = BokehWords(
-        focus=focus,
-        f_number=f_number,
-        f35_mm=f35_mm,
-        strength=strength,
-        blades=blades,
-        highlights=highlights,
-        kinds=picture,
-        is_stripped=strip,
-    )
+    words = BokehWords.of_call(context)
     options = depth_options(
         method="network",
         weights=None,

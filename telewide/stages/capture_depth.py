@@ -52,7 +52,7 @@ from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.kept_depth import (
     BOKEH_NAME,
     BOKEH_NAMES,
-    FILE_NAMES,
+    DEPTH_NAMES,
     KEPT_NAME,
     KeptDepth,
     listed_files,
@@ -172,8 +172,7 @@ def depth_of_capture(
         lying = made = read_kept(folder, key)
         if made is None:
             refuse_results_of_another(folder, source.tele_path)
-            depth_names = [name for name in FILE_NAMES if name not in BOKEH_NAMES]
-            refuse_foreign_files(folder, (*depth_names, *_bokeh_names(bokeh), KEPT_NAME))
+            refuse_foreign_files(folder, (*DEPTH_NAMES, *_bokeh_names(bokeh), KEPT_NAME))
             with within_memory("its depth"):
                 computed = _compute(
                     source, held_out, photos, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot

@@ -21,7 +21,8 @@ FORMAT = 5
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
 BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif")
-FILE_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png", *BOKEH_NAMES)
+DEPTH_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png")
+FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES)
 """Of all files of one capture; some are left out where they cannot be made."""
 
 

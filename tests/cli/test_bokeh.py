@@ -49,8 +49,8 @@ def test_words_become_options() -> None:
         ({"blades": "3"}, "3 blades"),
         ({"blades": "7,2"}, "curvature"),
         ({"highlights": 0.0}, "--highlights"),
-        ({"kinds": "png"}, "--picture png"),
-        ({"kinds": ""}, "--picture"),
+        ({"picture": "png"}, "--picture png"),
+        ({"picture": ""}, "--picture"),
         ({"highlights": float("nan")}, "--highlights"),
     ],
 )
@@ -60,7 +60,7 @@ def test_words_that_shape_nothing_are_refused(words: dict[str, object], named: s
 
 
 @pytest.mark.parametrize(
-    "words", [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}, {"is_stripped": True}]
+    "words", [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}, {"strip": True}]
 )
 def test_words_without_a_picture_are_refused(words: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="bokeh picture") as refusal:
