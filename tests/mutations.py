@@ -24,7 +24,7 @@ from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.correction.blur import BlurEstimate
 from telewide.correction.verdict import PairReport
-from telewide.depth.export import read_disparity
+from telewide.depth.formats.numpy_archive import read_disparity
 from telewide.geometry.rectification import rectified_geometry
 from telewide.recipe import load_recipe
 from telewide.records import checked, read_json

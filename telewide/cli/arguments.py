@@ -33,6 +33,15 @@ SetOption = Annotated[
 OnlyOption = Annotated[
     list[str] | None, typer.Option(metavar="NAME", help="This capture alone; may be repeated. [default: all]")
 ]
+FormatOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--format",
+        metavar="NAME,...",
+        help="Depth files: pfm, png, npz, mm, tiff, grey, gdepth, dynamic, ply, glb, exr or all. "
+        "[default: pfm,png,npz]",
+    ),
+]
 DistanceOption = Annotated[
     str | None,
     typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from telewide.cli.arguments import (
     CapturesArgument,
     DeviceOption,
     DistanceOption,
+    FormatOption,
     JsonOption,
     MethodOption,
     OnlyOption,
@@ -64,6 +66,7 @@ def depth(
     strip: StripOption = False,
     rig: RigOption = None,
     distance: DistanceOption = None,
+    formats: FormatOption = None,
     only: OnlyOption = None,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the results. [default: RUN/depth]")] = None,
     device: DeviceOption = "auto",
@@ -81,6 +84,7 @@ def depth(
         device=device,
         rig=rig,
         distance=distance,
+        formats=formats or (),
         only=tuple(only or ()),
     )
     from telewide.pipeline import depth_captures
@@ -115,6 +119,7 @@ def depth_options(
     rig: Path | None,
     distance: str | None,
     only: tuple[str, ...] = (),
+    formats: Sequence[str] = (),
 ) -> DepthOptions:
     """Turn words of the command line into the options of depth.
 
@@ -127,10 +132,13 @@ def depth_options(
         rig: a file, or None for the one by the captures.
         distance: as given to ``--distance``.
         only: as given to ``--only``.
+        formats: as given to ``--format``.
 
     Raises:
         UsageError: a word that is none of the known ones, or a file that is not there.
+        MissingPartError: a format whose extra is not installed.
     """
+    from telewide.depth.export import chosen_formats
     from telewide.depth.pin import parse_known_distance
     from telewide.stages.depth import DepthOptions
 
@@ -147,6 +155,7 @@ def depth_options(
         known=None if distance is None or trusts_focus else parse_known_distance(distance),
         trusts_focus=trusts_focus,
         only=only,
+        formats=chosen_formats(formats),
     )
 
 

@@ -10,6 +10,7 @@ from telewide.cli.arguments import (
     CapturesArgument,
     DeviceOption,
     DistanceOption,
+    FormatOption,
     JsonOption,
     QuietOption,
     RecipeOption,
@@ -52,6 +53,7 @@ def run_everything(
     strip: StripOption = False,
     rig: RigOption = None,
     distance: DistanceOption = None,
+    formats: FormatOption = None,
     device: DeviceOption = "auto",
     seed: SeedOption = None,
     as_json: JsonOption = False,
@@ -70,6 +72,7 @@ def run_everything(
         device=device,
         rig=rig,
         distance=distance,
+        formats=formats or (),
     )
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
     with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:

@@ -1,159 +1,136 @@
-"""Depth into files other programs read.
+"""Depth into files other programs read: which formats there are, and all files of one capture.
 
-``disparity.pfm`` float px, unknown +inf, rows bottom up (Middlebury). ``disparity.png`` 16 bit, value / 256 px, 0 none
-(KITTI). ``depth.npz`` everything, unknown NaN. ``preview.png`` for people.
-The disparity files hold the filled map; ``valid`` in the npz says which of it was measured.
+Each format is a file of `telewide.depth.formats`; what 0 and white mean in each is in ``docs/formats.md``. The files
+hold the filled map; ``valid`` in the npz says which of it was measured.
 Letters: H W image.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-from telewide.capture.images import write_image, write_png16
-from telewide.capture.pfm import write_pfm
-from telewide.capture.sizes import MAX_WHOLE_PIXELS
+from telewide.capture.images import write_image
+from telewide.depth.formats.contents import Contents, WrittenDepth
+from telewide.depth.formats.dynamic_depth_file import DYNAMIC_DEPTH_NAME, write_dynamic_depth
+from telewide.depth.formats.exr_file import EXR_NAME, write_exr
+from telewide.depth.formats.gdepth_file import GDEPTH_NAME, write_gdepth
+from telewide.depth.formats.grey_files import GREY16_NAME, GREY_NAME, PHOTO_NAME, write_grey
+from telewide.depth.formats.numpy_archive import NPZ_NAME, write_npz
+from telewide.depth.formats.pfm_file import PFM_NAME, write_pfm_file
+from telewide.depth.formats.png_files import MM_NAME, PNG_NAME, write_depth_png, write_disparity_png
+from telewide.depth.formats.space_files import GLB_NAME, PLY_NAME, write_glb, write_ply
+from telewide.depth.formats.tiff_file import DEPTH_TIFF_NAME, DISPARITY_TIFF_NAME, write_tiff
 from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult, stood_upright
-from telewide.errors import InputError
-from telewide.files import replacing
+from telewide.drawing import upright
+from telewide.errors import MissingPartError, extra_hint, unknown_name
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
-from telewide.npz import read_npz
 
-NPZ_FORMAT = 1
-NPZ_NAME = "depth.npz"
-PNG_STEPS_PER_PX = 256
-_PNG_LARGEST = 65535
-# Maps that are read again, as they are written, and what those of the largest photo take with their headers.
-_KINDS = {"disparity": np.dtype(np.float32), "confidence": np.dtype(np.float32), "valid": np.dtype(np.bool_)}
-_MOST_BYTES = MAX_WHOLE_PIXELS * sum(kind.itemsize for kind in _KINDS.values()) + 4096
+PREVIEW_NAME = "preview.png"
+ALL = "all"
 
 
 @dataclass(frozen=True)
-class WrittenDepth:
-    """Files written for one capture.
+class DepthFormat:
+    """One kind of file.
 
     Attributes:
-        paths: of the files, in the order they were written.
-        notes: sentences on what was left out, and why.
+        write: writes it into a folder, or says why it cannot be made.
+        names: of the files it may write.
+        module: that it needs beyond what telewide always has; None for none.
+        extra: of ``pyproject.toml`` that brings the module.
     """
 
-    paths: tuple[Path, ...]
-    notes: tuple[str, ...] = ()
+    write: Callable[[Path, Contents], WrittenDepth]
+    names: tuple[str, ...]
+    module: str | None = None
+    extra: str = ""
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether it can be written here."""
+        return self.module is None or find_spec(self.module) is not None
 
 
-def write_depth(folder: Path, result: DepthResult, *, image: FloatMap | None = None) -> WrittenDepth:
+FORMATS = {
+    "pfm": DepthFormat(write_pfm_file, (PFM_NAME,)),
+    "png": DepthFormat(write_disparity_png, (PNG_NAME,)),
+    "npz": DepthFormat(write_npz, (NPZ_NAME,)),
+    "mm": DepthFormat(write_depth_png, (MM_NAME,)),
+    "tiff": DepthFormat(write_tiff, (DEPTH_TIFF_NAME, DISPARITY_TIFF_NAME)),
+    "grey": DepthFormat(write_grey, (PHOTO_NAME, GREY_NAME, GREY16_NAME)),
+    "gdepth": DepthFormat(write_gdepth, (GDEPTH_NAME,)),
+    "dynamic": DepthFormat(write_dynamic_depth, (DYNAMIC_DEPTH_NAME,)),
+    "ply": DepthFormat(write_ply, (PLY_NAME,), module="trimesh", extra="mesh"),
+    "glb": DepthFormat(write_glb, (GLB_NAME,), module="trimesh", extra="mesh"),
+    "exr": DepthFormat(write_exr, (EXR_NAME,), module="OpenEXR", extra="exr"),
+}
+DEFAULT_FORMATS = ("pfm", "png", "npz")
+ALWAYS = "npz"
+"""What telewide reads again, and so always writes."""
+
+
+def file_names(formats: Iterable[str]) -> tuple[str, ...]:
+    """Names of the files that formats may write, and of the preview."""
+    return (*(name for each in formats for name in FORMATS[each].names), PREVIEW_NAME)
+
+
+def chosen_formats(words: Iterable[str]) -> tuple[str, ...]:
+    """Turn names of formats into those to write, in the order of the table.
+
+    Args:
+        words: names, several of them with commas between if wanted; ``all`` for every format that can be written here.
+
+    Returns:
+        The names, with that of ``depth.npz``, which is always written; the usual three where no word is given.
+
+    Raises:
+        UsageError: nothing has that name.
+        MissingPartError: an extra is not installed.
+    """
+    named = [name.strip().lower() for word in words for name in word.split(",") if name.strip()]
+    for name in named:
+        if name != ALL and name not in FORMATS:
+            raise unknown_name("format", name, (*FORMATS, ALL))
+        if name != ALL and not FORMATS[name].is_installed:
+            raise MissingPartError(
+                f"the format {name} needs {FORMATS[name].module}, which is not installed",
+                hint=extra_hint(FORMATS[name].extra),
+            )
+    wanted = {*(named or DEFAULT_FORMATS), ALWAYS}
+    return tuple(name for name, each in FORMATS.items() if name in wanted or (ALL in wanted and each.is_installed))
+
+
+def write_depth(
+    folder: Path, result: DepthResult, *, image: FloatMap | None = None, formats: Iterable[str] = DEFAULT_FORMATS
+) -> WrittenDepth:
     """Write the depth of one capture upright, each file atomically.
 
     Args:
         folder: is made if it is not there.
         result: of one capture.
-        image: (H, W, 3) the ref photo, RGB in [0, 1], turned as the result is, for the preview; without it none is
-            written.
+        image: (H, W, 3) the ref photo, RGB in [0, 1], turned as the result is, for the preview and for files that hold
+            the photo; without it none of these is written.
+        formats: names in `FORMATS`.
 
     Returns:
         The paths and what to know about them.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    picture = None if image is None else preview(image, result)
-    result = stood_upright(result)
-    paths, notes = [folder / "disparity.pfm"], []
-    write_pfm(paths[0], result.disparity.disparity_px)
-    png_path = folder / "disparity.png"
-    if reason := png_refusal(result):
-        png_path.unlink(missing_ok=True)  # one of an earlier run would belong to another map
-        notes.append(f"{result.name}: no disparity.png, {reason}; disparity.pfm holds all values")
-    else:
-        write_png16(png_path, png_from_disparity(result.disparity.disparity_px))
-        paths.append(png_path)
-    paths.append(folder / NPZ_NAME)
-    _write_npz(paths[-1], npz_arrays(result))
-    if picture is not None:
-        paths.append(folder / "preview.png")
-        write_image(paths[-1], picture)
+    turned = None if image is None else upright(image, rotated_deg=result.rotated_deg)
+    contents = Contents(stood_upright(result), turned)
+    paths: list[Path] = []
+    notes: list[str] = []
+    for name in formats:
+        written = FORMATS[name].write(folder, contents)
+        paths += written.paths
+        notes += written.notes
+        for left_out in {folder / each for each in FORMATS[name].names}.difference(written.paths):
+            left_out.unlink(missing_ok=True)  # one of an earlier run would belong to another map
+    if image is not None:
+        paths.append(folder / PREVIEW_NAME)
+        write_image(paths[-1], preview(image, result))
     return WrittenDepth(paths=tuple(paths), notes=tuple(notes))
-
-
-def read_disparity(path: Path) -> DisparityMap:
-    """Read the disparity that `write_depth` wrote.
-
-    Args:
-        path: a ``depth.npz``.
-
-    Raises:
-        UsageError: there is no such file.
-        InputError: it is damaged, or of another kind.
-    """
-    maps = read_npz(path, tuple(_KINDS), most_bytes=_MOST_BYTES)
-    disparity_px, confidence, valid = maps
-    if [one.dtype for one in maps] != [*_KINDS.values()]:
-        raise InputError(f"{path} is damaged: its maps are {', '.join(str(one.dtype) for one in maps)}")
-    if disparity_px.ndim != 2 or any(one.shape != disparity_px.shape for one in maps) or not disparity_px.size:
-        raise InputError(f"{path} is damaged: its maps are not of one size")
-    return DisparityMap(disparity_px.astype(np.float32), confidence.astype(np.float32), valid.astype(np.bool_))
-
-
-def png_refusal(result: DepthResult) -> str | None:
-    """Say why a 16-bit PNG cannot hold this map, or None where it can: all measured values must lie in (0, 256) px."""
-    disparity_px = result.disparity.disparity_px
-    measured_px = disparity_px[result.disparity.valid & np.isfinite(disparity_px)]
-    if measured_px.size == 0:
-        return "nothing was measured"
-    low, high = float(measured_px.min()), float(measured_px.max())
-    if low > 0 and high < (_PNG_LARGEST + 1) / PNG_STEPS_PER_PX:
-        return None
-    return f"it holds 0 to 256 px and the disparities reach from {low:.1f} to {high:.1f} px"
-
-
-def png_from_disparity(disparity_px: FloatMap) -> NDArray[np.uint16]:
-    """Encode as KITTI does: ``round(256 d)``; 0 where ``d`` is unknown or not in (0, 256) px.
-
-    Args:
-        disparity_px: (H, W), px; NaN is unknown.
-
-    Returns:
-        (H, W) uint16, in 1/256 px; a known value never becomes 0.
-    """
-    largest_px = (_PNG_LARGEST + 1) / PNG_STEPS_PER_PX
-    holds = np.isfinite(disparity_px) & (disparity_px > 0) & (disparity_px < largest_px)
-    steps = np.round(np.where(holds, disparity_px, 0).astype(np.float64) * PNG_STEPS_PER_PX)
-    return np.where(holds, np.clip(steps, 1, _PNG_LARGEST), 0).astype(np.uint16)
-
-
-def npz_arrays(result: DepthResult) -> dict[str, NDArray[np.generic]]:
-    """Gather what ``depth.npz`` holds.
-
-    Returns:
-        ``format``; ``disparity`` (H, W) float32 px; ``confidence`` (H, W) float32; ``valid`` (H, W) bool; ``K`` (3, 3)
-        float64 px, NaN where not known; where known ``distortion`` (n,) OpenCV coefficients, ``baseline_m``,
-        ``doffs_px``, ``depth_m`` (H, W) float32 and its standard deviation ``depth_std_m`` (H, W) float32.
-    """
-    arrays: dict[str, NDArray[np.generic]] = {
-        "format": np.array(NPZ_FORMAT),
-        "disparity": result.disparity.disparity_px.astype(np.float32),
-        "confidence": result.disparity.confidence.astype(np.float32),
-        "valid": result.disparity.valid.astype(np.bool_),
-        "K": np.full((3, 3), np.nan) if result.K is None else result.K.astype(np.float64),
-    }
-    if result.baseline_m is not None:
-        arrays["baseline_m"] = np.array(result.baseline_m)
-    if result.depth_m is not None:
-        arrays["depth_m"] = result.depth_m.astype(np.float32)
-        arrays["doffs_px"] = np.array(result.doffs_px)
-    if result.depth_std_m is not None:
-        arrays["depth_std_m"] = result.depth_std_m.astype(np.float32)
-    if result.distortion is not None and result.distortion.size:
-        arrays["distortion"] = result.distortion.astype(np.float64)
-    return arrays
-
-
-def _write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
-    with replacing(path) as temporary, temporary.open("wb") as file:  # a file, for numpy would add .npz to a name
-        np.savez_compressed(file, **cast(dict[str, Any], arrays))  # its types take a name for an option

@@ -19,6 +19,9 @@ from telewide.geometry.arrays import FloatArray, FloatMap
 from telewide.geometry.rig import StereoRig
 from telewide.geometry.stereo import DisparityMap, depth_from_disparity
 
+FARTHEST_M = 1000.0
+"""A depth beyond is unknown: of lenses a centimetre apart, it is a disparity of hundredths of a pixel."""
+
 
 @dataclass(frozen=True)
 class DepthResult:
@@ -29,7 +32,7 @@ class DepthResult:
         disparity: px of the ref photo, with its confidence and what was measured.
         K: (3, 3) float64 intrinsics of the ref photo, px; None where the focal length is not known.
         baseline_m: distance of the two lenses, m; None where not known.
-        depth_m: (H, W) float32, m, NaN where unknown; None where K or the baseline is not known.
+        depth_m: (H, W) float32, m, NaN where unknown or beyond `FARTHEST_M`; None where K or the baseline is not known.
         depth_std_m: (H, W) float32, m, standard deviation of the depth, NaN where unknown; None without a rig.
         distortion: (n,) OpenCV coefficients of the ref photo; None where not known, empty where there is none.
         doffs_px: ``cx_src - cx_ref``, px; of the mirrored views where wide stands to the left of tele.
@@ -75,8 +78,10 @@ def depth_result(name: str, disparity: DisparityMap, *, facts: CaptureFacts | No
     doffs_px = (facts.doffs_px or 0.0) * (-1 if facts.wide_side == "left" else 1)
     depth_m = None
     if facts.f_px is not None and facts.baseline_m is not None:
-        depth_m = depth_from_disparity(
-            disparity.disparity_px, f_px=facts.f_px, baseline_m=facts.baseline_m, doffs_px=doffs_px
+        depth_m = _within_range(
+            depth_from_disparity(
+                disparity.disparity_px, f_px=facts.f_px, baseline_m=facts.baseline_m, doffs_px=doffs_px
+            )
         )
     return DepthResult(
         name=name,
@@ -118,7 +123,7 @@ def depth_result_of_rig(
     result = DepthResult(name=name, disparity=disparity, K=rig.tele.K, distortion=rig.tele.distortion)
     if not rig.is_scale_known:
         return result
-    depth_m = depth_from_disparity(disparity.disparity_px, f_px=f_px, baseline_m=rig.baseline_m)
+    depth_m = _within_range(depth_from_disparity(disparity.disparity_px, f_px=f_px, baseline_m=rig.baseline_m))
     of = precision.confidence_std
     std_m = depth_std_m(
         depth_m,
@@ -173,8 +178,12 @@ def _upright_intrinsics(K: FloatArray, *, hw: tuple[int, int], rotated_deg: int)
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def _within_range(depth_m: FloatMap) -> FloatMap:
+    return np.where(depth_m <= FARTHEST_M, depth_m, np.float32(np.nan))
+
+
 def _in_front(disparity: DisparityMap, depth_m: FloatMap) -> DisparityMap:
-    """Mark as not measured what seems to lie beyond infinity: it was mismatched, or the lens had shifted."""
+    """Mark as not measured what lies too far to tell, or beyond infinity: mismatched, or the lens had shifted."""
     return replace(disparity, valid=disparity.valid & np.isfinite(depth_m))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from telewide.capture.images import read_image
 from telewide.capture.pair import PhotoPair
-from telewide.depth.export import NPZ_NAME, read_disparity
+from telewide.depth.formats.numpy_archive import NPZ_NAME, read_disparity
 from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright

@@ -26,7 +26,8 @@ from telewide.capture.photo_store import PhotoStore
 from telewide.capture.pictures import PictureFacts, write_picture
 from telewide.correction.moving import MovedRegion, moving_mask
 from telewide.depth.edges import follow_edges
-from telewide.depth.export import write_depth
+from telewide.depth.export import DEFAULT_FORMATS, file_names, write_depth
+from telewide.depth.formats.numpy_archive import NPZ_NAME
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
 from telewide.depth.precision_notes import (
@@ -52,7 +53,6 @@ from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.kept_depth import (
     BOKEH_NAME,
     BOKEH_NAMES,
-    DEPTH_NAMES,
     KEPT_NAME,
     KeptDepth,
     listed_files,
@@ -147,6 +147,7 @@ def depth_of_capture(
     key: Mapping[str, object],
     shot: ShotGeometry | None = None,
     photos: PhotoStore | None = None,
+    formats: tuple[str, ...] = DEFAULT_FORMATS,
 ) -> DepthOutcome | DepthFailure:
     """Make depth, and bokeh if asked, of one capture, unless the same lies there already.
 
@@ -161,6 +162,7 @@ def depth_of_capture(
         key: everything the files depend on, as plain data.
         shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
         photos: where the tele photo may be kept; None decodes it.
+        formats: of the depth files, the npz among them.
 
     Returns:
         The files, and what was measured; or why there are none, where a photo, the truth or the bokeh asked for
@@ -172,15 +174,12 @@ def depth_of_capture(
         lying = made = read_kept(folder, key)
         if made is None:
             refuse_results_of_another(folder, source.tele_path)
-            refuse_foreign_files(folder, (*DEPTH_NAMES, *_bokeh_names(bokeh), KEPT_NAME))
+            refuse_foreign_files(folder, (*file_names(formats), *_bokeh_names(bokeh), KEPT_NAME))
             with within_memory("its depth"):
                 computed = _compute(
                     source, held_out, photos, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot
                 )
-            with fresh_folder(folder.parent) as new:
-                made = _write(new, computed, former=folder)
-                write_kept(new, made, key=key, source=source.tele_path)
-                put_in_place(new, folder)
+            made = _put(computed, folder, formats=formats, key=key, source=source.tele_path)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
     paths = tuple(folder / name for name in made.files)
@@ -297,9 +296,20 @@ def _bokeh_names(bokeh: BokehOptions | None) -> tuple[str, ...]:
     return () if bokeh is None else tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in bokeh.kinds)
 
 
-def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
+def _put(
+    computed: _Computed, folder: Path, *, formats: tuple[str, ...], key: Mapping[str, object], source: Path
+) -> KeptDepth:
+    """Write all files of one capture, which appear together."""
+    with fresh_folder(folder.parent) as new:
+        made = _write(new, computed, former=folder, formats=formats)
+        write_kept(new, made, key=key, source=source)
+        put_in_place(new, folder)
+    return made
+
+
+def _write(folder: Path, computed: _Computed, *, former: Path, formats: tuple[str, ...]) -> KeptDepth:
     """Write all files of one capture into a folder; an earlier bokeh is kept where its depth is the same."""
-    written = write_depth(folder, computed.result, image=computed.photo)
+    written = write_depth(folder, computed.result, image=computed.photo, formats=formats)
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
     notes = (*notes, *computed.bokeh_notes)
     if computed.picture is not None:
@@ -307,7 +317,7 @@ def _write(folder: Path, computed: _Computed, *, former: Path) -> KeptDepth:
             write_picture(folder / name, computed.picture.pixels, facts=computed.picture.facts)
             names.append(name)
     elif not computed.bokeh_notes:
-        for name in _bokeh_of(former, folder / "disparity.pfm"):
+        for name in _bokeh_of(former, folder / NPZ_NAME):
             with replacing(folder / name) as temporary:
                 shutil.copyfile(former / name, temporary)
             names.append(name)
@@ -343,13 +353,13 @@ def _mirrored(disparity: DisparityMap) -> DisparityMap:
     return DisparityMap(disparity.disparity_px[:, ::-1], disparity.confidence[:, ::-1], disparity.valid[:, ::-1])
 
 
-def _bokeh_of(folder: Path, disparity: Path) -> list[str]:
-    """Names of the bokeh files there that were made of this very disparity."""
+def _bokeh_of(folder: Path, depth: Path) -> list[str]:
+    """Names of the bokeh files there that were made of this very depth."""
     lying = listed_files(folder)
     names = [name for name in BOKEH_NAMES if name in lying and is_file(folder / name)]
-    former = folder / disparity.name
-    is_same = bool(names) and disparity.name in lying and is_file(former)
-    return names if is_same and fingerprint(former) == fingerprint(disparity) else []
+    former = folder / depth.name
+    is_same = bool(names) and depth.name in lying and is_file(former)
+    return names if is_same and fingerprint(former) == fingerprint(depth) else []
 
 
 def _result_of_shot(

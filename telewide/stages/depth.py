@@ -14,6 +14,7 @@ from telewide.bokeh.picture import BokehOptions, check_bokeh
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Problem
 from telewide.cores import Device
+from telewide.depth.export import DEFAULT_FORMATS
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, is_file
@@ -48,6 +49,7 @@ class DepthOptions:
         known: a point of known distance, or None.
         trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
         only: names of the captures to take; empty for all.
+        formats: of the depth files, the npz among them.
     """
 
     method: Method = "network"
@@ -59,6 +61,7 @@ class DepthOptions:
     known: KnownDistance | None = None
     trusts_focus: bool = False
     only: tuple[str, ...] = ()
+    formats: tuple[str, ...] = DEFAULT_FORMATS
 
 
 @dataclass(frozen=True)
@@ -262,6 +265,7 @@ def _depth_of(
         key=_depth_key(item, matcher, window=window, options=options, shot=shot),
         shot=shot,
         photos=call.photos,
+        formats=options.formats,
     )
 
 
@@ -309,6 +313,7 @@ def _depth_key(
         "matcher": matcher.name,
         "window": window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
+        "formats": options.formats,
         "precision": None if shot is None else asdict(shot.precision),
         "known": None if shot is None or shot.known is None else asdict(shot.known),
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import Field, JsonValue
 
-from telewide.depth.export import NPZ_NAME
+from telewide.depth.export import FORMATS, file_names
 from telewide.errors import TelewideError, UsageError
 from telewide.files import changing, is_file, is_folder, temporary_name
 from telewide.records import Figure, Line, Name, Record, as_read, checked, read_json, read_record, write_record
@@ -21,8 +21,7 @@ FORMAT = 5
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
 BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif")
-DEPTH_NAMES = ("disparity.pfm", "disparity.png", NPZ_NAME, "preview.png")
-FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES)
+FILE_NAMES = (*file_names(FORMATS), *BOKEH_NAMES)
 """Of all files of one capture; some are left out where they cannot be made."""
 
 

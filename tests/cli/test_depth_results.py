@@ -70,3 +70,21 @@ def test_a_known_distance_gives_an_aperture_to_a_rig_of_unknown_scale(tmp_path: 
         codes.append(left.value.code or 0)
     assert codes == [2, 0]
     assert (tmp_path / "run" / "depth" / "one" / "bokeh.jpg").is_file()
+
+
+def test_files_that_are_asked_for_by_name(tmp_path: Path, rng: np.random.Generator) -> None:
+    rig = phone_rig(width_px=320)
+    for view, photo in zip(("tele", "wide"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(tmp_path / "captures" / "one" / f"{view}.png", photo)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    write_stored_rig(tmp_path / "captures" / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+    words = ("depth", str(tmp_path / "captures"), "--run", str(tmp_path / "run"), "--method", "sgm")
+    codes = []
+    for formats in (("--format", "mm,grey", "--format", "tiff"), ("--format", "jpeg2000")):
+        with pytest.raises(SystemExit) as left:
+            main((*words, *formats))
+        codes.append(left.value.code or 0)
+    assert codes == [0, 2]
+    made = {path.name for path in (tmp_path / "run" / "depth" / "one").iterdir()}
+    grey = {"photo.jpg", "photo_depth.png", "photo_depth_16.png"}
+    assert made == {"depth.npz", "depth_mm.png", "depth.tif", "preview.png", "depth.json"} | grey

@@ -447,3 +447,29 @@ def test_lenses_that_stand_the_other_way_round_are_spoken_of(
     assert isinstance(right, DepthOutcome)
     assert not any("rotated_deg" in note for note in right.notes)
     assert right.withheld is None
+
+
+@pytest.mark.parametrize("rotated_deg", [90, 270])
+def test_every_format_stands_upright(capture: Capture, tmp_path: Path, rotated_deg: int) -> None:
+    facts = CaptureFacts(rectified=True, rotated_deg=rotated_deg, f_px=80.0, baseline_m=0.01)  # type: ignore[arg-type]
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    outcome = depth_of_capture(
+        capture,
+        held_out,
+        tmp_path / "run",
+        facts=facts,
+        match=stepped,
+        window=WINDOW,
+        bokeh=None,
+        key={},
+        formats=("npz", "mm", "tiff", "grey", "gdepth", "dynamic"),
+    )
+    assert isinstance(outcome, DepthOutcome)
+    for name in ("depth_mm.png", "depth.tif", "photo.jpg", "photo_depth.png", "gdepth.jpg", "dynamic_depth.jpg"):
+        with Image.open(tmp_path / "run" / name) as picture:
+            assert picture.size == HW
+    with Image.open(tmp_path / "run" / "photo_depth.png") as picture:
+        grey = np.asarray(picture)
+    # Near stood on the right before; turned back, it is where the photo's right side is.
+    near, far = (grey[-1], grey[0]) if rotated_deg == 90 else (grey[0], grey[-1])
+    assert near.min() > far.max()

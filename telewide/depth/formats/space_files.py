@@ -1,0 +1,107 @@
+"""``points.ply``, coloured points, and ``mesh.glb``, a textured surface that is cut at depth edges; metres.
+
+Points lie in tele's frame: x right, y down, z forward. glTF wants y up and looks along -z, so the mesh is turned half
+round about x. trimesh (the extra ``mesh``) writes both. Letters: H W image; h w after thinning; N points, M triangles.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from telewide.depth.formats.contents import NO_METRES, Contents, WrittenDepth, levels, positions_m, thinned
+from telewide.files import replacing
+from telewide.geometry.arrays import ByteImage, FloatMap, IntArray
+
+PLY_NAME, GLB_NAME = "points.ply", "mesh.glb"
+POINTS_LONGEST_PX = 1600
+MESH_LONGEST_PX = 800
+TEXTURE_LONGEST_PX = 2048
+CUT_SHARE = 0.04
+"""Corners of a triangle whose depths differ by a larger share lie on two surfaces; as MoGe cuts its meshes."""
+_GLTF_FROM_TELE = np.array([1, -1, -1], dtype=np.float32)
+
+
+def write_ply(folder: Path, contents: Contents) -> WrittenDepth:
+    """Write ``points.ply``."""
+    at_m = positions_m(contents, longest_px=POINTS_LONGEST_PX)
+    if at_m is None or not np.isfinite(at_m).any():
+        return contents.left_out(PLY_NAME, NO_METRES)
+    from trimesh import PointCloud
+
+    known = np.isfinite(at_m).all(axis=2)
+    colours = None if contents.image is None else _bytes(contents.image, longest_px=POINTS_LONGEST_PX)[known]
+    return _written(folder / PLY_NAME, PointCloud(at_m[known], colors=colours).export(file_type="ply"))
+
+
+def write_glb(folder: Path, contents: Contents) -> WrittenDepth:
+    """Write ``mesh.glb``."""
+    at_m = positions_m(contents, longest_px=MESH_LONGEST_PX)
+    if at_m is None or contents.image is None:
+        return contents.left_out(GLB_NAME, NO_METRES)
+    triangles = surface_triangles(at_m[..., 2])
+    if not len(triangles):
+        return contents.left_out(GLB_NAME, "no three neighbours lie on one surface")
+    from trimesh import Trimesh
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    used, corner = np.unique(triangles, return_inverse=True)
+    texture = PBRMaterial(baseColorTexture=_texture(contents.image), metallicFactor=0.0, roughnessFactor=1.0)
+    mesh = Trimesh(
+        vertices=at_m.reshape(-1, 3)[used] * _GLTF_FROM_TELE,
+        faces=corner.reshape(triangles.shape),
+        visual=TextureVisuals(uv=_texture_places(at_m.shape[:2], contents.image.shape[:2])[used], material=texture),
+        process=False,
+    )
+    return _written(folder / GLB_NAME, mesh.export(file_type="glb"))
+
+
+def surface_triangles(depth_m: FloatMap) -> IntArray:
+    """Join neighbours into triangles, two a square, but for those that reach from one surface to another.
+
+    Args:
+        depth_m: (h, w), m; NaN where unknown.
+
+    Returns:
+        (M, 3) int64 flat indices, anticlockwise as the camera sees them.
+    """
+    index = np.arange(depth_m.size, dtype=np.int64).reshape(depth_m.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    triangles = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
+    corners_m = depth_m.ravel()[triangles]
+    with np.errstate(invalid="ignore"):
+        is_one = corners_m.max(axis=1) <= corners_m.min(axis=1) * (1 + CUT_SHARE)
+    return np.asarray(triangles[is_one], dtype=np.int64)
+
+
+def _texture_places(hw: tuple[int, int], photo_hw: tuple[int, ...]) -> FloatMap:
+    """Places (N, 2) of the thinned pixels on the texture: 0 to 1, v up; a pixel's centre lies half a pixel inside."""
+    step = -(-max(photo_hw) // MESH_LONGEST_PX)
+    rows, columns = (np.arange(size, dtype=np.float32) * step + step // 2 + 0.5 for size in hw)
+    u, v = np.meshgrid(columns / photo_hw[1], 1 - rows / photo_hw[0])
+    return np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32)
+
+
+def _texture(image: FloatMap) -> Image.Image:
+    """The photo as a JPEG, which trimesh embeds as it is."""
+    picture = Image.fromarray(levels(np.nan_to_num(image), bits=8).astype(np.uint8))
+    picture.thumbnail((TEXTURE_LONGEST_PX, TEXTURE_LONGEST_PX), Image.Resampling.LANCZOS)
+    stream = BytesIO()
+    picture.save(stream, "JPEG", quality=92, subsampling=0)
+    return Image.open(stream)
+
+
+def _bytes(image: FloatMap, *, longest_px: int) -> ByteImage:
+    return levels(np.nan_to_num(thinned(image, longest_px=longest_px)), bits=8).astype(np.uint8)
+
+
+def _written(path: Path, encoded: object) -> WrittenDepth:
+    if not isinstance(encoded, bytes):  # as trimesh may return other formats
+        raise TypeError(f"{path.name} was encoded as {type(encoded).__name__}")
+    with replacing(path) as temporary:
+        temporary.write_bytes(encoded)
+    return WrittenDepth((path,))

@@ -1,0 +1,82 @@
+"""Points and meshes, read by trimesh: they lie where the camera sees them, and no triangle bridges two surfaces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from depth.formats.made_depth import BOX, HW, depth_m, made_photo, made_result
+from rigs import phone
+
+from telewide.depth.export import write_depth
+from telewide.depth.result import depth_result_of_rig
+from telewide.geometry.stereo import DisparityMap
+
+trimesh = pytest.importorskip("trimesh", reason="the extra mesh is not installed")
+
+
+def read_mesh(path: Path) -> Any:
+    (mesh,) = trimesh.load(path).geometry.values()
+    return mesh
+
+
+def test_points_project_onto_their_pixels_with_their_colours(tmp_path: Path) -> None:
+    write_depth(tmp_path, made_result(), image=made_photo(), formats=("ply",))
+    cloud = trimesh.load(tmp_path / "points.ply")
+    known = np.isfinite(depth_m())
+    assert len(cloud.vertices) == known.sum()
+    at = np.asarray(cloud.vertices) @ np.asarray(made_result().K).T
+    y, x = np.nonzero(known)
+    np.testing.assert_allclose(at[:, :2] / at[:, 2:], np.column_stack([x, y]), atol=1e-3)
+    np.testing.assert_allclose(at[:, 2], depth_m()[known], rtol=1e-5)
+    np.testing.assert_allclose(cloud.colors[:, :3] / 255, made_photo()[known], atol=0.003)
+
+
+def test_points_of_a_distorted_lens_project_onto_their_pixels(tmp_path: Path) -> None:
+    rig = phone(shrink=72)
+    hw = rig.tele.hw
+    disparity = DisparityMap(np.full(hw, 3.0, np.float32), np.ones(hw, np.float32), np.ones(hw, np.bool_))
+    result = depth_result_of_rig("shot", disparity, rig=rig)
+    assert np.abs(rig.tele.distortion).max() > 0.01
+    write_depth(tmp_path, result, formats=("ply",))
+    cloud = trimesh.load(tmp_path / "points.ply")
+    seen, _ = cv2.projectPoints(
+        np.asarray(cloud.vertices, np.float64), np.zeros(3), np.zeros(3), rig.tele.K, rig.tele.distortion
+    )
+    y, x = np.mgrid[: hw[0], : hw[1]]
+    np.testing.assert_allclose(seen[:, 0], np.column_stack([x.ravel(), y.ravel()]), atol=0.01)
+
+
+def test_mesh_is_cut_at_depth_edges_and_faces_the_camera(tmp_path: Path) -> None:
+    write_depth(tmp_path, made_result(), image=made_photo(), formats=("glb",))
+    mesh = read_mesh(tmp_path / "mesh.glb")
+    corners_m = -np.asarray(mesh.vertices)[mesh.faces][..., 2]  # glTF looks along -z
+    assert (corners_m > 0).all()
+    assert (corners_m.max(axis=1) / corners_m.min(axis=1)).max() <= 1.0401
+    box_m = depth_m()[BOX].min()
+    near = np.isclose(corners_m, box_m, rtol=1e-4).all(axis=1)
+    height, width = depth_m()[BOX].shape
+    assert near.sum() == 2 * (height - 1) * (width - 1)
+    towards_camera = (np.asarray(mesh.face_normals) * -np.asarray(mesh.triangles_center)).sum(axis=1)
+    assert (towards_camera > 0).all()
+
+
+def test_texture_lies_on_its_pixels(tmp_path: Path) -> None:
+    write_depth(tmp_path, made_result(), image=made_photo(), formats=("glb",))
+    mesh = read_mesh(tmp_path / "mesh.glb")
+    at = (np.asarray(mesh.vertices) * [1, -1, -1]) @ np.asarray(made_result().K).T
+    at_px = at[:, :2] / at[:, 2:]
+    u, v = np.asarray(mesh.visual.uv).T
+    expected = np.column_stack([(at_px[:, 0] + 0.5) / HW[1], 1 - (at_px[:, 1] + 0.5) / HW[0]])
+    np.testing.assert_allclose(np.column_stack([u, v]), expected, atol=1e-4)
+    assert mesh.visual.material.baseColorTexture.size == HW[::-1]
+
+
+@pytest.mark.parametrize(("kind", "name"), [("ply", "points.ply"), ("glb", "mesh.glb")])
+def test_without_metres_there_is_none(kind: str, name: str, tmp_path: Path) -> None:
+    written = write_depth(tmp_path, made_result(has_metres=False), image=made_photo(), formats=(kind,))
+    assert [path.name for path in written.paths] == ["preview.png"]
+    assert f"no {name}, its depth in metres is not known" in written.notes[0]
