@@ -1,23 +1,24 @@
 """Bokeh pictures judged: specks along their outlines on any captures, and PSNR where a real aperture took the truth.
 
 The depth is that of ``telewide depth``, of every matcher, and the true one where the set has it; the blur is ours, and
-a Gaussian by the same depth. So what a matcher loses and what rendering loses stand beside each other.
+others by the same depth. So what a matcher loses and what rendering loses stand beside each other.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from telewide.benchmark.lens_truth import LensTruth, blurred_by_depth, edge_band, read_lens_truth
+from telewide.benchmark.lens_truth import LensTruth, edge_band, read_lens_truths
 from telewide.benchmark.outlines import speck_share
+from telewide.benchmark.plain_blurs import BLURS
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.benchmark.written import judged_set
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
-from telewide.bokeh.render import render_bokeh
 from telewide.capture.images import read_image
 from telewide.capture.pair import read_truth
 from telewide.depth.result import DepthResult
@@ -28,8 +29,7 @@ from telewide.recipe import Recipe
 from telewide.stages.run_folder import RunFolder
 
 TRUE_DEPTH = "true depth"
-_DB = ("ours_db", "ours_edges_db", "gaussian_db", "gaussian_edges_db")
-_DB_HEADINGS = ("ours dB", "at edges", "Gaussian dB", "at edges")
+SAME_DISTANCE_PX = 0.5
 
 
 def benchmark_bokeh(
@@ -45,7 +45,7 @@ def benchmark_bokeh(
     """Judge bokeh on captures.
 
     Args:
-        captures_root: folder of the captures; pictures through an aperture lie in ``../truth/<name>/bokeh.png``.
+        captures_root: folder of the captures; pictures through an aperture lie in ``../truth/<name>/bokeh*.png``.
         contenders: whose depth is used.
         run: its corrected pairs are used; they are made where they are missing.
         recipe: what is corrected.
@@ -54,7 +54,7 @@ def benchmark_bokeh(
         rig: rig file, or None for the one that lies by the captures.
 
     Returns:
-        A row for each capture and matcher, and one for the true depth where it is known.
+        A row for each capture and matcher; one more for each picture through an aperture, and for its true depth.
 
     Raises:
         InputError: no capture can be used.
@@ -63,29 +63,45 @@ def benchmark_bokeh(
     options = bokeh or BokehOptions()
     rows: list[dict[str, object]] = []
     for item in judged.prepared.pairs:
-        photo = read_image(item.source.tele_path)
-        truth = read_lens_truth(captures_root, item.capture.name)
+        name, photo = item.capture.name, read_image(item.source.tele_path)
         truth_px = read_truth(item.source, hw=(photo.shape[0], photo.shape[1]))
+        truths = () if truth_px is None else read_lens_truths(captures_root, name)
+        lenses: list[_Lens] = []
         for contender in contenders:
-            tell(f"{item.capture.name}: {contender.name}")
+            tell(f"{name}: {contender.name}")
             result = judged.depth(item, contender, photo=photo)
-            row = {"capture": item.capture.name, "matcher": contender.name} | _specks(photo, result, options)
-            if truth is not None and truth_px is not None and result.K is not None:
-                lens = _Lens(photo, truth, truth_px, f_px=float(result.K[0, 0]))
-                row |= lens.scores(result.disparity.disparity_px, baseline_m=result.baseline_m)
-                if contender == contenders[-1]:
-                    exact = {"capture": item.capture.name, "matcher": TRUE_DEPTH} | lens.scores(truth_px)
-                    rows.append(exact)
-            rows.append(row)
+            rows.append({"capture": name, "matcher": contender.name} | _specks(photo, result, options))
+            if truth_px is not None:
+                f_px = None if result.K is None else float(result.K[0, 0])
+                lenses = [_Lens(photo, truth, truth_px, f_px) for truth in truths]
+            for lens in lenses:
+                scores = lens.scores(result.disparity.disparity_px, baseline_m=result.baseline_m)
+                rows.append({"capture": name, "matcher": contender.name} | scores)
+        rows += [{"capture": name, "matcher": TRUE_DEPTH} | lens.scores(lens.truth_px) for lens in lenses]
     notes = tuple(f"{problem.name}: {problem.message}" for problem in judged.prepared.problems)
     return BenchmarkReport("bokeh", {"focus": options.focus, "window": list(judged.window)}, tuple(rows), notes)
 
 
 def bokeh_table(report: BenchmarkReport) -> str:
-    """Set the means of a report in Markdown, a line for each matcher, and the capture with the most specks."""
-    headings = ("depth", "specks % (photo)", "worst excess %", "in", *_DB_HEADINGS)
-    matchers = dict.fromkeys(str(row["matcher"]) for row in report.rows)
-    return markdown_table(headings, [_line(m, [row for row in report.rows if row["matcher"] == m]) for m in matchers])
+    """Set the means of a report in Markdown, a line for each matcher: specks, and PSNR where there are pictures."""
+    specks, pictures = ([row for row in report.rows if (key in row)] for key in ("specks", "picture"))
+    headings = ("depth", "specks % (photo)", "worst excess %", "in")
+    tables = [markdown_table(headings, [_speck_line(name, rows) for name, rows in _by_matcher(specks).items()])]
+    if pictures:
+        exact = {_place(row): row for row in pictures if row["matcher"] == TRUE_DEPTH}
+        of_blurs = (*(f"{name}, at edges dB" for name in BLURS), "lost by depth %")
+        lines = [_picture_line(name, rows, exact) for name, rows in _by_matcher(pictures).items()]
+        tables.append(markdown_table(("depth", *of_blurs), lines))
+    return "\n\n".join(tables)
+
+
+def _by_matcher(rows: Sequence[Mapping[str, object]]) -> dict[str, list[Mapping[str, object]]]:
+    matchers = dict.fromkeys(str(row["matcher"]) for row in rows)
+    return {name: [row for row in rows if row["matcher"] == name] for name in matchers}
+
+
+def _place(row: Mapping[str, object]) -> tuple[object, object]:
+    return row["capture"], row["picture"]
 
 
 def _specks(photo: FloatImage, result: DepthResult, options: BokehOptions) -> dict[str, object]:
@@ -96,38 +112,62 @@ def _specks(photo: FloatImage, result: DepthResult, options: BokehOptions) -> di
 
 @dataclass(frozen=True)
 class _Lens:
-    """A photo, what an aperture made of it, and its true disparity."""
+    """A photo, what an aperture made of it, and its true disparity; its focal length where it is known."""
 
     photo: FloatImage
     truth: LensTruth
     truth_px: FloatMap
-    f_px: float
+    f_px: float | None = None
 
     def scores(self, disparity_px: FloatMap, *, baseline_m: float | None = None) -> dict[str, object]:
-        """PSNR of our bokeh and of a Gaussian by the same depth, full frame and edge band, dB."""
-        true_baseline_m = self.truth.baseline_m(self.f_px)
-        baseline_m = baseline_m or true_baseline_m
-        band = edge_band(self.truth_px, k=self.truth.aperture_radius_m / true_baseline_m)
-        focus_px, k = self.f_px * baseline_m / self.truth.focus_distance_m, self.truth.aperture_radius_m / baseline_m
-        ours = render_bokeh(self.photo, disparity_px, focus_disparity_px=focus_px, radius_per_px=k)
-        plain = blurred_by_depth(self.photo, disparity_px, focus_px=focus_px, k=k)
-        masks = (None, band if band.any() else None)
-        values = [psnr_db(np.clip(p, 0, 1), self.truth.picture, mask=mask) for p in (ours, plain) for mask in masks]
-        return dict(zip(_DB, values, strict=True))
+        """PSNR of every blur by a depth, full frame and edge band, dB, and seconds of processor.
+
+        The focus is where a person would set it: on what truly lies at that distance. So an error of the scale, which
+        moves the whole map, does not count twice.
+        """
+        true_k, k = self.truth.lens(f_px=self.f_px), self.truth.lens(f_px=self.f_px, baseline_m=baseline_m)
+        if true_k is None or k is None:
+            return {}
+        band = edge_band(self.truth_px, k=true_k)
+        is_there = np.abs(self.truth_px - self.truth.focus_disparity_px) < SAME_DISTANCE_PX
+        known_px = disparity_px[is_there & np.isfinite(disparity_px)]
+        focus_px = float(np.median(known_px)) if known_px.size else self.truth.focus_disparity_px
+        scores: dict[str, object] = {"picture": self.truth.name, "radius_per_px": true_k}
+        for name, blur in BLURS.items():
+            begun_s = time.process_time()
+            blurred = np.clip(blur(self.photo, disparity_px, focus_px=focus_px, k=k), 0, 1)
+            scores[f"{name}_s"] = time.process_time() - begun_s
+            scores[f"{name}_db"] = psnr_db(blurred, self.truth.picture)
+            scores[f"{name}_edges_db"] = psnr_db(blurred, self.truth.picture, mask=band if band.any() else None)
+        return scores
 
 
-def _line(matcher: str, rows: Sequence[Mapping[str, object]]) -> list[str]:
-    judged = [row for row in rows if isinstance(row.get("specks"), float)]
-    excess = [float(str(row["specks"])) - float(str(row["photo_specks"])) for row in judged]
+def _speck_line(matcher: str, rows: Sequence[Mapping[str, object]]) -> list[str]:
+    excess = [float(str(row["specks"])) - float(str(row["photo_specks"])) for row in rows]
     worst = int(np.nanargmax(excess)) if np.isfinite(excess).any() else None
     shares = [100 * _mean(rows, key) for key in ("specks", "photo_specks")]
     return [
         matcher,
         f"{number(shares[0], '.2f')} ({number(shares[1], '.2f')})",
         "-" if worst is None else f"{100 * excess[worst]:+.2f}",
-        "-" if worst is None else str(judged[worst]["capture"]),
-        *(number(_mean(rows, key), ".1f") for key in _DB),
+        "-" if worst is None else str(rows[worst]["capture"]),
     ]
+
+
+def _picture_line(
+    matcher: str,
+    rows: Sequence[Mapping[str, object]],
+    exact: Mapping[tuple[object, object], Mapping[str, object]],
+) -> list[str]:
+    """Means over the pictures; of the squared error of our blur, the share that the true depth would not have made."""
+    by_rendering = [10 ** ((_db(row) - _db(exact[_place(row)])) / 10) for row in rows]
+    lost = 100 * (1 - float(np.mean(by_rendering)))
+    decibels = [(number(_mean(rows, f"{n}_db"), ".1f"), number(_mean(rows, f"{n}_edges_db"), ".1f")) for n in BLURS]
+    return [matcher, *(f"{full}, {edges}" for full, edges in decibels), number(lost, ".0f")]
+
+
+def _db(row: Mapping[str, object]) -> float:
+    return float(str(row["ours_db"]))
 
 
 def _mean(rows: Sequence[Mapping[str, object]], key: str) -> float:

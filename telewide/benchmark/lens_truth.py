@@ -1,7 +1,4 @@
-"""Pictures that a real aperture took, and a plain blur to compare with.
-
-``telewide simulate --world rooms --thin-lens`` renders such pictures. Letters: H W image.
-"""
+"""Pictures that a real aperture took, as ``telewide simulate --thin-lens`` renders them. Letters: H W image."""
 
 from __future__ import annotations
 
@@ -10,29 +7,31 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, PositiveFloat
+from pydantic import BaseModel, PositiveFloat, model_validator
 
-from telewide.bokeh.render import LARGEST_RADIUS_SHARE
 from telewide.capture.images import read_image
 from telewide.depth.edges import fill_unknown
 from telewide.errors import InputError
-from telewide.files import is_file
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
 from telewide.records import read_json
-from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 EDGE_JUMP_PX = 2.0
 EDGE_BAND_PX = 8
-_LEVELS = 32
-_LEAST_SIGMA_PX = 0.2
 
 
 class _Facts(BaseModel):
-    """Content of ``bokeh.json``; what else it holds does not count."""
+    """Content of ``bokeh*.json``; what else it holds does not count."""
 
-    focus_distance_m: PositiveFloat
     focus_disparity_px: PositiveFloat
-    aperture_radius_m: PositiveFloat
+    focus_distance_m: PositiveFloat | None = None
+    aperture_radius_m: PositiveFloat | None = None
+    radius_per_px: PositiveFloat | None = None
+
+    @model_validator(mode="after")
+    def _states_an_aperture(self) -> _Facts:
+        if self.radius_per_px is None and (self.focus_distance_m is None or self.aperture_radius_m is None):
+            raise ValueError("radius_per_px, or focus_distance_m and aperture_radius_m")
+        return self
 
 
 @dataclass(frozen=True)
@@ -40,70 +39,54 @@ class LensTruth:
     """A picture through an aperture.
 
     Attributes:
+        name: of its files.
         picture: (H, W, 3) sRGB.
-        focus_distance_m: where it is focused, along the optical axis.
-        focus_disparity_px: the true disparity there.
-        aperture_radius_m: of the opening.
+        focus_disparity_px: the true disparity where it is focused.
+        radius_per_px: radius of the disk per px of true disparity away from that; None where metres tell.
+        focus_distance_m: of the focus along the optical axis; None where metres are not known.
+        aperture_radius_m: of the opening; None likewise.
     """
 
+    name: str
     picture: FloatImage
-    focus_distance_m: float
     focus_disparity_px: float
-    aperture_radius_m: float
+    radius_per_px: float | None = None
+    focus_distance_m: float | None = None
+    aperture_radius_m: float | None = None
 
-    def baseline_m(self, f_px: float) -> float:
-        """Distance of the lenses that the true disparity is of: ``d z / f``.
+    def lens(self, *, f_px: float | None, baseline_m: float | None = None) -> float | None:
+        """Radius of the disk per px of disparity, ``A / B``; None where neither metres nor a radius are known.
 
         Args:
-            f_px: focal length of the photo.
+            f_px: focal length of the photo; None where it is not known.
+            baseline_m: distance of the lenses that the disparity is of; None for that of the true one, ``d z / f``.
         """
-        return self.focus_disparity_px * self.focus_distance_m / f_px
+        if self.aperture_radius_m is None or self.focus_distance_m is None or f_px is None:
+            return self.radius_per_px
+        true_baseline_m = self.focus_disparity_px * self.focus_distance_m / f_px
+        return self.aperture_radius_m / (true_baseline_m if baseline_m is None else baseline_m)
 
 
-def read_lens_truth(captures_root: Path, name: str) -> LensTruth | None:
-    """Read the picture that lies in ``truth/`` beside the captures; None where there is none.
+def read_lens_truths(captures_root: Path, name: str) -> tuple[LensTruth, ...]:
+    """Read the pictures that lie in ``truth/`` beside the captures, ``bokeh*.png`` with a JSON each; none is fine.
 
     Args:
         captures_root: folder of the captures.
         name: of the capture.
 
     Raises:
-        InputError: it is damaged.
+        InputError: one is damaged.
     """
     folder = captures_root.parent / "truth" / name
-    facts_path = folder / "bokeh.json"
-    if not is_file(facts_path):
-        return None
-    try:
-        facts = _Facts.model_validate(read_json(facts_path))
-    except ValueError as error:
-        raise InputError(f"{facts_path} does not state what the picture is focused on, and the aperture") from error
-    picture = read_image(folder / "bokeh.png")
-    return LensTruth(picture, facts.focus_distance_m, facts.focus_disparity_px, facts.aperture_radius_m)
-
-
-def blurred_by_depth(image_srgb: FloatImage, disparity_px: FloatMap, *, focus_px: float, k: float) -> FloatImage:
-    """Blur every pixel by a Gaussian of its own disk's spread, in linear light: what bokeh is without layers.
-
-    Args:
-        image_srgb: (H, W, 3) float32.
-        disparity_px: (H, W) float32, px; NaN is filled from its nearest neighbour.
-        focus_px: the disparity that stays sharp.
-        k: radius of the disk per px of disparity.
-    """
-    light = linear_from_srgb(image_srgb)
-    cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
-    sigma_px = (
-        np.minimum(np.abs(fill_unknown(disparity_px) - focus_px) * k, cap_px) / 2
-    )  # a disk's spread along an axis
-    level = np.digitize(sigma_px, np.linspace(0, float(sigma_px.max()) + 1e-6, _LEVELS + 1))
-    blurred = light.copy()
-    for i in np.unique(level):
-        own = level == i
-        sigma = float(sigma_px[own].mean())
-        if sigma > _LEAST_SIGMA_PX:
-            blurred[own] = cv2.GaussianBlur(light, (0, 0), sigma)[own]
-    return srgb_from_linear(blurred)
+    truths = []
+    for facts_path in sorted(folder.glob("bokeh*.json")):
+        try:
+            facts = _Facts.model_validate(read_json(facts_path))
+        except ValueError as error:
+            raise InputError(f"{facts_path} does not state what the picture is focused on, and the aperture") from error
+        picture = read_image(facts_path.with_suffix(".png"))
+        truths.append(LensTruth(facts_path.stem, picture, **facts.model_dump()))
+    return tuple(truths)
 
 
 def edge_band(truth_px: FloatMap, *, k: float) -> BoolMap:

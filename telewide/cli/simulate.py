@@ -56,20 +56,24 @@ def simulate(
     ] = None,
     raw: Annotated[bool, typer.Option("--raw", help="DNG instead of JPEG; rooms.")] = False,
     thin_lens: Annotated[
-        bool, typer.Option("--thin-lens", help="Also what a large aperture would blur, into truth/; rooms.")
+        bool, typer.Option("--thin-lens", help="Also what large apertures see, into truth/; pairs, rooms.")
     ] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write captures of a simulated world, with exact disparity beside them."""
     chosen = _world(world, is_phone=phone)
-    of_rooms = {"--samples": samples, "--lenses": lenses, "--raw": raw or None, "--thin-lens": thin_lens or None}
+    of_rooms = {"--samples": samples, "--lenses": lenses, "--raw": raw or None}
     of_pairs = {"--height": height, "--factor": factor, "--scene": scene}
     _refuse_foreign(chosen, {"pairs": of_pairs, "rooms": of_rooms}, boards=boards)
     refuse_filled(out)
     n_boards = {"pairs": 0, "phone": _or(boards, 14), "rooms": _or(boards, 20)}[chosen]
+    if thin_lens and chosen == "phone":
+        raise UsageError("--thin-lens: for --world pairs or rooms; the world is phone")
     if chosen == "pairs":
-        _simulate_pairs(out, captures, seed, hw=(height, width), factor=factor, scene=scene)
+        out = out / "captures" if thin_lens else out
+        size = (_or(height, _PAIR_HEIGHT_PX), _or(width, _PAIR_WIDTH_PX))
+        _simulate_pairs(out, captures, seed, hw=size, factor=factor, scene=scene, has_bokeh=thin_lens)
     elif chosen == "phone":
         from telewide.simulate.phone import write_phone
 
@@ -115,15 +119,16 @@ def _simulate_pairs(
     captures: int,
     seed: int,
     *,
-    hw: tuple[int | None, int | None],
+    hw: tuple[int, int],
     factor: float | None,
     scene: str | None,
+    has_bokeh: bool,
 ) -> None:
     from telewide.simulate.captures import write_captures
 
-    size = (_or(hw[0], _PAIR_HEIGHT_PX), _or(hw[1], _PAIR_WIDTH_PX))
     by = 3.0 if factor is None else factor
-    write_captures(out, count=captures, seed=seed, hw=size, factor=by, scene=scene or "still-life")
+    scene = scene or "still-life"
+    write_captures(out, count=captures, seed=seed, hw=hw, factor=by, scene=scene, has_bokeh=has_bokeh)
 
 
 def _room_shots(

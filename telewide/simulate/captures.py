@@ -18,8 +18,9 @@ from telewide.capture.pfm import write_pfm
 from telewide.errors import UsageError
 from telewide.files import write_text
 from telewide.geometry.arrays import FloatImage, FloatMap
+from telewide.simulate.apertures import write_lens_truths
 from telewide.simulate.degrade import Degradation, degrade_small
-from telewide.simulate.layers import render_pair
+from telewide.simulate.layers import LayeredScene, render_pair
 from telewide.simulate.scene import random_scene
 from telewide.simulate.still_life import still_life
 
@@ -46,6 +47,7 @@ def write_captures(
     scene: str = "still-life",
     image_format: str = "png",
     truth_count: int | None = None,
+    has_bokeh: bool = False,
 ) -> tuple[Path, ...]:
     """Write simulated captures with their truth.
 
@@ -59,6 +61,7 @@ def write_captures(
         scene: one of `SCENES`.
         image_format: "png" or "jpg".
         truth_count: how many of the captures get a ``truth.pfm``, the first ones; None means all.
+        has_bokeh: whether to write what large apertures see into ``../truth/<name>/``, by `write_lens_truths`.
 
     Returns:
         The capture folders.
@@ -74,13 +77,16 @@ def write_captures(
     written: list[Path] = []
     for number, child in enumerate(np.random.SeedSequence(seed).spawn(count)):
         rng = np.random.default_rng(child)
-        ref, src, disparity_px = _photographed(rng, hw=hw, window_px=window_px, scene=scene)
+        world = _world(rng, hw=hw, window_px=window_px, scene=scene)
+        ref, src, disparity_px = _photographed(world, hw=hw)
         wide = degrade_small(src, _phone_damage(rng, hw=hw, factor=factor), rng=rng)
         capture = folder / f"{number:03d}"
         write_image(capture / f"tele.{image_format}", ref, quality=95)
         write_image(capture / f"wide.{image_format}", wide, quality=95)
         if truth_count is None or number < truth_count:
             write_pfm(capture / "truth.pfm", disparity_px)
+        if has_bokeh:
+            write_lens_truths(folder.parent / "truth" / capture.name, world, disparity_px=disparity_px)
         written.append(capture)
     facts = f"format: 1\nrectified: true\nasymmetry: {float(factor)}\nreference: tele\nnotes: simulated, seed {seed}\n"
     write_text(folder / FACTS_FILE, facts)
@@ -101,16 +107,18 @@ def _check(*, count: int, hw: tuple[int, int], factor: float, scene: str, image_
         raise UsageError(f"pictures cannot be written as {image_format!r}", hint="png or jpg")
 
 
-def _photographed(
+def _world(
     rng: np.random.Generator, *, hw: tuple[int, int], window_px: tuple[float, float], scene: str
-) -> tuple[FloatImage, FloatImage, FloatMap]:
-    """Render at twice the size and average, as the pixels of a sensor do: ref, src and the disparity of ref."""
+) -> LayeredScene:
+    """Draw a world at twice the size of its photo."""
     fine_hw = (hw[0] * _SUPERSAMPLING, hw[1] * _SUPERSAMPLING)
     fine_window = (window_px[0] * _SUPERSAMPLING, window_px[1] * _SUPERSAMPLING)
-    if scene == "still-life":
-        world = still_life(rng, hw=fine_hw, disparity_window_px=fine_window)
-    else:
-        world = random_scene(rng, hw=fine_hw, disparity_window_px=fine_window)
+    draw = still_life if scene == "still-life" else random_scene
+    return draw(rng, hw=fine_hw, disparity_window_px=fine_window)
+
+
+def _photographed(world: LayeredScene, *, hw: tuple[int, int]) -> tuple[FloatImage, FloatImage, FloatMap]:
+    """Average fine pixels, as those of a sensor do: ref, src and the disparity of ref."""
     fine = render_pair(world)
     wh = (hw[1], hw[0])
     ref = np.asarray(cv2.resize(fine.ref, wh, interpolation=cv2.INTER_AREA), np.float32)

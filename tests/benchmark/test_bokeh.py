@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from bokeh.layered_world import random_world
 from typer.testing import CliRunner
 
 from telewide.benchmark.bokeh import _Lens
-from telewide.benchmark.lens_truth import LensTruth, blurred_by_depth, edge_band, read_lens_truth
+from telewide.benchmark.lens_truth import LensTruth, edge_band, read_lens_truths
 from telewide.benchmark.outlines import speck_share
+from telewide.benchmark.plain_blurs import BLURS, gaussian_blur, laid_over, scattered
 from telewide.capture.images import write_image
+from telewide.cli.app import app
 from telewide.cli.benchmark import benchmark_app
 from telewide.errors import InputError
 from telewide.simulate.captures import write_captures
@@ -39,11 +43,11 @@ def test_specks_are_counted_within_two_px_of_an_edge() -> None:
 def test_a_gaussian_by_depth_has_the_spread_of_the_disk() -> None:
     image = np.full((81, 81, 3), 0.2, np.float32)
     image[40, 40] = 1
-    blurred = blurred_by_depth(image, np.full((81, 81), 3.0, np.float32), focus_px=1.0, k=3.0)
+    blurred = gaussian_blur(image, np.full((81, 81), 3.0, np.float32), focus_px=1.0, k=3.0)
     light = np.maximum(blurred[..., 0] ** 2.2 - blurred[0, 0, 0] ** 2.2, 0)
     y = np.arange(81)[:, None] - 40
     assert np.sqrt((light * y**2).sum() / light.sum()) == pytest.approx(3.0, rel=0.1)  # half of the radius, 6 px
-    np.testing.assert_allclose(blurred_by_depth(image, step_px_of(81), focus_px=0.0, k=0.0), image, atol=1e-6)
+    np.testing.assert_allclose(gaussian_blur(image, step_px_of(81), focus_px=0.0, k=0.0), image, atol=1e-6)
 
 
 def step_px_of(size: int) -> np.ndarray:
@@ -64,7 +68,7 @@ def test_true_depth_scores_better_than_a_wrong_one_and_than_a_gaussian() -> None
     baseline_m = focus_px * z_m / f_px
     k = 1.0  # the aperture's radius is the baseline
     picture = srgb_from_linear(world.through_lens_linear(focus=(focus_px - 20) / 8, k=8 * k, samples=64))
-    truth = LensTruth(np.clip(picture, 0, 1), z_m, focus_px, aperture_radius_m=k * baseline_m)
+    truth = LensTruth("bokeh", np.clip(picture, 0, 1), focus_px, focus_distance_m=z_m, aperture_radius_m=k * baseline_m)
     lens = _Lens(srgb_from_linear(world.photo_linear()), truth, disparity_px, f_px=f_px)
     exact, shifted = (lens.scores(d) for d in (disparity_px, np.roll(disparity_px, 4, axis=1)))
     assert exact["ours_edges_db"] > exact["gaussian_edges_db"] + 3
@@ -74,14 +78,53 @@ def test_true_depth_scores_better_than_a_wrong_one_and_than_a_gaussian() -> None
     assert again["ours_db"] == pytest.approx(exact["ours_db"], abs=0.3)
 
 
+@pytest.mark.parametrize("blur", BLURS.values())
+def test_every_blur_spreads_one_distance_alike(blur: Callable[..., np.ndarray], rng: np.random.Generator) -> None:
+    photo = cv2.GaussianBlur(rng.random((80, 80, 3)).astype(np.float32), (0, 0), 1)
+    flat_px = np.full((80, 80), 3.0, np.float32)
+    blurred = blur(photo, flat_px, focus_px=1.0, k=2.0)  # a disk of 4 px
+    np.testing.assert_allclose(blurred.mean(axis=(0, 1)), photo.mean(axis=(0, 1)), atol=0.02)
+    assert blurred[20:60, 20:60].std() < photo[20:60, 20:60].std() / 2
+    np.testing.assert_allclose(blur(photo, flat_px, focus_px=3.0, k=2.0), photo, atol=1e-5)
+
+
+def test_what_lies_behind_is_hidden_by_layers_and_mixed_by_scatter() -> None:
+    photo = np.zeros((80, 80, 3), np.float32)
+    photo[:, 40:] = 1  # a black far wall, and before it, in focus, a white one
+    far_left = step_px_of(80)
+    near_edge = np.s_[20:60, 41:44]
+    hidden = laid_over(photo, far_left, focus_px=5.0, k=1.0)
+    np.testing.assert_allclose(hidden[near_edge], 1, atol=1e-3)
+    mixed = scattered(photo, far_left, focus_px=5.0, k=1.0)
+    assert mixed[near_edge].max() < 0.97
+
+
+@pytest.mark.slow
+def test_pictures_of_every_focus_and_aperture_are_scored_by_own_and_by_true_depth(tmp_path: Path) -> None:
+    command = ["simulate", str(tmp_path / "set"), "--captures", "1", "--width", "128", "--height", "96", "--thin-lens"]
+    assert CliRunner().invoke(app, [*command, "--seed", "4"]).exit_code == 0
+    captures, out = tmp_path / "set" / "captures", tmp_path / "bokeh.json"
+    assert len(read_lens_truths(captures, "000")) == 9
+    done = CliRunner().invoke(benchmark_app, ["bokeh", str(captures), "--json", str(out)])
+    assert done.exit_code == 0, done.output
+    rows = [row for row in json.loads(out.read_text())["rows"] if "picture" in row]
+    assert len(rows) == 18
+    exact = [row for row in rows if row["matcher"] == "true depth"]
+    mean_db = {name: np.mean([row[f"{name}_edges_db"] for row in exact]) for name in BLURS}
+    assert max(mean_db, key=lambda name: mean_db[name]) == "ours"
+    assert mean_db["ours"] > mean_db["gaussian"] + 1
+    line = next(line for line in done.stdout.splitlines() if line.startswith("| true depth"))
+    assert line.split("|")[-2].strip() == "0"  # nothing is lost by it
+
+
 def test_a_damaged_truth_is_named(tmp_path: Path) -> None:
     captures, truth = tmp_path / "captures", tmp_path / "truth" / "000"
-    assert read_lens_truth(captures, "000") is None
+    assert read_lens_truths(captures, "000") == ()
     truth.mkdir(parents=True)
     write_image(truth / "bokeh.png", np.zeros((*HW, 3), np.float32))
     (truth / "bokeh.json").write_text(json.dumps({"focus_distance_m": 1, "focus_disparity_px": 0}))
     with pytest.raises(InputError, match=r"bokeh\.json"):
-        read_lens_truth(captures, "000")
+        read_lens_truths(captures, "000")
 
 
 def test_the_command_prints_a_line_and_writes_a_row_for_each_capture(tmp_path: Path) -> None:
