@@ -62,18 +62,15 @@ def simulate(
     quiet: QuietOption = False,
 ) -> None:
     """Write captures of a simulated world, with exact disparity beside them."""
-    chosen = _world(world, is_phone=phone)
+    chosen = _world(world, is_phone=phone, has_bokeh=thin_lens)
     of_rooms = {"--samples": samples, "--lenses": lenses, "--raw": raw or None}
     of_pairs = {"--height": height, "--factor": factor, "--scene": scene}
     _refuse_foreign(chosen, {"pairs": of_pairs, "rooms": of_rooms}, boards=boards)
     refuse_filled(out)
     n_boards = {"pairs": 0, "phone": _or(boards, 14), "rooms": _or(boards, 20)}[chosen]
-    if thin_lens and chosen == "phone":
-        raise UsageError("--thin-lens: for --world pairs or rooms; the world is phone")
     if chosen == "pairs":
         out = out / "captures" if thin_lens else out
-        size = (_or(height, _PAIR_HEIGHT_PX), _or(width, _PAIR_WIDTH_PX))
-        _simulate_pairs(out, captures, seed, hw=size, factor=factor, scene=scene, has_bokeh=thin_lens)
+        _simulate_pairs(out, captures, seed, hw=(height, width), factor=factor, scene=scene, has_bokeh=thin_lens)
     elif chosen == "phone":
         from telewide.simulate.phone import write_phone
 
@@ -85,12 +82,14 @@ def simulate(
     _hand_over(out, answer, as_json=as_json, is_quiet=quiet)
 
 
-def _world(world: str | None, *, is_phone: bool) -> str:
+def _world(world: str | None, *, is_phone: bool, has_bokeh: bool) -> str:
     if is_phone and world not in (None, "phone"):
         raise UsageError(f"--phone and --world {world} are two worlds; give one of them")
     chosen = "phone" if is_phone else world or "pairs"
     if chosen not in WORLDS:
         raise UsageError(f"--world {chosen}: expected {', '.join(WORLDS)}")
+    if has_bokeh and chosen == "phone":
+        raise UsageError("--thin-lens: for --world pairs or rooms; the world is phone")
     return chosen
 
 
@@ -119,16 +118,16 @@ def _simulate_pairs(
     captures: int,
     seed: int,
     *,
-    hw: tuple[int, int],
+    hw: tuple[int | None, int | None],
     factor: float | None,
     scene: str | None,
     has_bokeh: bool,
 ) -> None:
     from telewide.simulate.captures import write_captures
 
-    by = 3.0 if factor is None else factor
-    scene = scene or "still-life"
-    write_captures(out, count=captures, seed=seed, hw=hw, factor=by, scene=scene, has_bokeh=has_bokeh)
+    size = (_or(hw[0], _PAIR_HEIGHT_PX), _or(hw[1], _PAIR_WIDTH_PX))
+    by, scene = 3.0 if factor is None else factor, scene or "still-life"
+    write_captures(out, count=captures, seed=seed, hw=size, factor=by, scene=scene, has_bokeh=has_bokeh)
 
 
 def _room_shots(

@@ -70,10 +70,8 @@ def write_captures(
         UsageError: a number out of range or an unknown name, with what was expected.
         TelewideError: the folder cannot be written.
     """
-    _check(count=count, hw=hw, factor=factor, scene=scene, image_format=image_format)
     window_px = disparity_window_px or (0.01 * hw[1], 0.12 * hw[1])
-    if not window_px[0] < window_px[1]:
-        raise UsageError(f"the disparity window is {window_px}; a lower and a higher bound were expected")
+    _check(count=count, hw=hw, factor=factor, scene=scene, image_format=image_format, window_px=window_px)
     written: list[Path] = []
     for number, child in enumerate(np.random.SeedSequence(seed).spawn(count)):
         rng = np.random.default_rng(child)
@@ -93,7 +91,15 @@ def write_captures(
     return tuple(written)
 
 
-def _check(*, count: int, hw: tuple[int, int], factor: float, scene: str, image_format: str) -> None:
+def _check(
+    *,
+    count: int,
+    hw: tuple[int, int],
+    factor: float,
+    scene: str,
+    image_format: str,
+    window_px: tuple[float, float],
+) -> None:
     if count < 1:
         raise UsageError(f"the number of captures is {count}; 1 or more was expected")
     if not 1.0 <= factor <= _MAX_FACTOR:
@@ -105,6 +111,8 @@ def _check(*, count: int, hw: tuple[int, int], factor: float, scene: str, image_
         raise UsageError(f"no scene is called {scene!r}", hint=f"known scenes: {', '.join(SCENES)}")
     if image_format not in ("png", "jpg"):
         raise UsageError(f"pictures cannot be written as {image_format!r}", hint="png or jpg")
+    if not window_px[0] < window_px[1]:
+        raise UsageError(f"the disparity window is {window_px}; a lower and a higher bound were expected")
 
 
 def _world(
