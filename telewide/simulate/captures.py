@@ -76,11 +76,8 @@ def write_captures(
     for number, child in enumerate(np.random.SeedSequence(seed).spawn(count)):
         rng = np.random.default_rng(child)
         world = _world(rng, hw=hw, window_px=window_px, scene=scene)
-        ref, src, disparity_px = _photographed(world, hw=hw)
-        wide = degrade_small(src, _phone_damage(rng, hw=hw, factor=factor), rng=rng)
         capture = folder / f"{number:03d}"
-        write_image(capture / f"tele.{image_format}", ref, quality=95)
-        write_image(capture / f"wide.{image_format}", wide, quality=95)
+        disparity_px = _write_views(capture, world, rng, hw=hw, factor=factor, image_format=image_format)
         if truth_count is None or number < truth_count:
             write_pfm(capture / "truth.pfm", disparity_px)
         if has_bokeh:
@@ -89,6 +86,23 @@ def write_captures(
     facts = f"format: 1\nrectified: true\nasymmetry: {float(factor)}\nreference: tele\nnotes: simulated, seed {seed}\n"
     write_text(folder / FACTS_FILE, facts)
     return tuple(written)
+
+
+def _write_views(
+    capture: Path,
+    world: LayeredScene,
+    rng: np.random.Generator,
+    *,
+    hw: tuple[int, int],
+    factor: float,
+    image_format: str,
+) -> FloatMap:
+    """Photograph and damage a world; the disparity of tele."""
+    ref, src, disparity_px = _photographed(world, hw=hw)
+    wide = degrade_small(src, _phone_damage(rng, hw=hw, factor=factor), rng=rng)
+    write_image(capture / f"tele.{image_format}", ref, quality=95)
+    write_image(capture / f"wide.{image_format}", wide, quality=95)
+    return disparity_px
 
 
 def _check(
