@@ -18,6 +18,8 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
 
 FOCUS_WORDS = ("auto", "near", "far")
+AF_WORD = "af"
+"""The place that the photo's EXIF names; `named_focus` turns it into a point."""
 OUTLIER_PERCENT = 0.5  # of the pixels at either end, whose disparity is taken for a mistake
 CONFIDENT = 0.5
 POINT_WINDOW_PX = 2
@@ -78,6 +80,8 @@ def find_focus(
     if not known.any():
         raise InputError("the disparity map holds no known value")
     distance_m = named_distance_m(focus)
+    if _word(focus) == AF_WORD:
+        raise UsageError(f"focus {focus!r}: a map holds no EXIF", hint="name a point, near, far or auto")
     if distance_m is not None and disparity_at_m is None:
         raise UsageError(f"focus {focus!r}: metres are not known of this shot", hint="name a point, near, far or auto")
     point_xy = named_point(focus, hw=disparity_px.shape) if distance_m is None else None
@@ -122,7 +126,7 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
     Raises:
         UsageError: the focus is none of these, or a point outside the photo.
     """
-    if _word(focus) in FOCUS_WORDS or named_distance_m(focus) is not None:
+    if _word(focus) in (*FOCUS_WORDS, AF_WORD) or named_distance_m(focus) is not None:
         return None
     try:
         x, y = (float(part) for part in focus.split(","))
@@ -130,7 +134,7 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
     except (ValueError, OverflowError):  # also of nan and inf
         raise UsageError(
             f"focus {focus!r}: expected X,Y in pixels of the tele photo, a distance such as 2.5m, or one of "
-            f"{', '.join(FOCUS_WORDS)}"
+            f"{', '.join((*FOCUS_WORDS, AF_WORD))}"
         ) from None
     if hw is not None and not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
         raise UsageError(
@@ -138,6 +142,19 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
             hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
         )
     return column, row
+
+
+def named_focus(focus: str, subject_uv: tuple[float, float] | None, *, hw: tuple[int, int]) -> str:
+    """Turn "af" into the point that EXIF names, or into "auto" where it names none; another focus stays as it is.
+
+    Args:
+        focus: as in :func:`find_focus`, or "af".
+        subject_uv: the place that was focused on, as shares of the photo's width and height; None where nothing says.
+        hw: height and width of the photo, px.
+    """
+    if _word(focus) != AF_WORD:
+        return focus
+    return "auto" if subject_uv is None else f"{subject_uv[0] * hw[1] - 0.5:.1f},{subject_uv[1] * hw[0] - 0.5:.1f}"
 
 
 def _word(focus: str) -> str:

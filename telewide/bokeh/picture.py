@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from telewide.bokeh.aperture import DISK, Aperture
-from telewide.bokeh.focus import FOCUS_WORDS, Focus, find_focus, named_distance_m, named_point
+from telewide.bokeh.focus import AF_WORD, Focus, find_focus, named_distance_m, named_point
 from telewide.bokeh.render import (
     LARGEST_RADIUS_SHARE,
     largest_step_px,
@@ -34,7 +34,8 @@ class BokehOptions:
     """Focus of a bokeh picture, strength of its blur, shape of its lights.
 
     Attributes:
-        focus: "X,Y" in px of the tele photo, upright, a distance such as "2.5m", near, far or auto.
+        focus: "X,Y" in px of the tele photo, upright, a distance such as "2.5m", near, far, auto, or af: what its EXIF
+            says was focused on.
         strength_px: radius of the strongest blur, px; None for the default.
         strength_share: the same as a share of the photo's longer side.
         f_number: of an imitated lens; needs the baseline.
@@ -160,7 +161,10 @@ def focus_note(
         "near": "the nearest surface",
         "far": "the farthest surface",
     }
-    why = f" ({ways[word]})" if word in FOCUS_WORDS else ""
+    way = ways.get(word)
+    if word == AF_WORD:
+        way = f"its EXIF names no place, so {ways['auto']}" if focus.sharp_px else "the place that its EXIF names"
+    why = f" ({way})" if way else ""
     place = f"x {focus.x_px}, y {focus.y_px}"
     return f"{name}: bokeh is focused on {place}{distance}, disparity {focus.disparity_px:.1f} px{why}"
 

@@ -28,15 +28,18 @@ from telewide.files import once_a_file, open_regular
 _IFD_EXIF, _NEW_SUBFILE = 34665, 254
 _MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL = 271, 272, 274, 50708
 _FOCAL_LENGTH, _F35, _DIGITAL_ZOOM, _DISTANCE = 37386, 41989, 41988, 37382
+_SUBJECT_AREA, _WIDTH, _HEIGHT = 37396, 40962, 40963
 # Date, its fraction of a second, its offset from UTC; the moment of exposure first.
 _DATES = ((36867, 37521, 36881), (36868, 37522, 36882), (306, 37520, 36880))
 _WANTED = {_MAKE, _MODEL, _ORIENTATION, _UNIQUE_MODEL, _FOCAL_LENGTH, _F35, _DIGITAL_ZOOM, _DISTANCE, TAG_DNG_VERSION}
+_WANTED |= {_SUBJECT_AREA, _WIDTH, _HEIGHT}
 _WANTED |= {tag for date in _DATES for tag in date}
 _LONGEST_FOCAL_MM = 2000.0
 _FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _FARTHEST_M = 10_000.0
 _MOST_DIGITS, _LONGEST_TEXT = 9, 100
 _INFINITY = 0xFFFFFFFF
+_SAME_SHAPE = 0.02
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
 _KINDS = {"JPEG": "jpeg", "WEBP": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
 
@@ -62,6 +65,7 @@ class PhotoFacts:
         orientation: EXIF orientation, 1 to 8.
         digital_zoom_ratio: 1 for none.
         subject_distance_m: where the lens was focused; inf for infinity.
+        subject_uv: the place that was focused on, as shares of the upright photo's width and height.
     """
 
     kind: str
@@ -75,6 +79,7 @@ class PhotoFacts:
     orientation: int = 1
     digital_zoom_ratio: float | None = None
     subject_distance_m: float | None = None
+    subject_uv: tuple[float, float] | None = None
 
     @property
     def camera(self) -> str:
@@ -264,7 +269,27 @@ def _facts(kind: str, tags: Tags, hw: tuple[int, int] | None) -> PhotoFacts:
         orientation=orientation,
         digital_zoom_ratio=1.0 if zoom == 0 else zoom,  # 0 states that there was none
         subject_distance_m=_distance_m(tags.get(_DISTANCE)),
+        subject_uv=_subject_uv(tags, hw, orientation=orientation),
     )
+
+
+def _subject_uv(tags: Tags, hw: tuple[int, int] | None, *, orientation: int) -> tuple[float, float] | None:
+    """Centre of SubjectArea: a point, circle or box in pixels of the photo as it is stored (CIPA DC-008, 4.6.5).
+
+    Of another shape than the photo, the sizes that EXIF states are those before somebody cut or turned it.
+    """
+    area = tags.get(_SUBJECT_AREA)
+    if not isinstance(area, tuple | list) or not 2 <= len(area) <= 4 or hw is None:
+        return None
+    x, y, width, height = (_number(value) for value in (*area[:2], tags.get(_WIDTH, hw[1]), tags.get(_HEIGHT, hw[0])))
+    if x is None or y is None or not width or not height:
+        return None
+    is_same_shape = abs(width * hw[0] / (height * hw[1]) - 1) < _SAME_SHAPE
+    u, v = (x + 0.5) / width, (y + 0.5) / height
+    if not (is_same_shape and 0 < u < 1 and 0 < v < 1):
+        return None
+    u, v = (v, u) if orientation in {5, 6, 7, 8} else (u, v)
+    return 1 - u if orientation in {2, 3, 6, 7} else u, 1 - v if orientation in {3, 4, 7, 8} else v
 
 
 def _fraction(value: object) -> tuple[float, float] | None:

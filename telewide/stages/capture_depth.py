@@ -16,10 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from telewide.bokeh.focus import Focus, find_focus
+from telewide.bokeh.focus import Focus, find_focus, named_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
 from telewide.capture.carried import CarriedFacts, read_carried
 from telewide.capture.colour_profiles import is_other_than_srgb
+from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.capture.photo_store import PhotoStore
@@ -239,13 +240,15 @@ def _compute(
     elif truth_px is not None:
         numbers["3PE"] = three_pixel_error(result.disparity.disparity_px, truth_px)
         numbers["EPE_px"] = end_point_error_px(result.disparity.disparity_px, truth_px)
-    photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
+    turned_deg = result.rotated_deg
+    photo, result = upright(photo, rotated_deg=turned_deg), stood_upright(result)
     picture: _Picture | None = None
     told: tuple[str, ...] = ()
     if bokeh is not None:
         carried = read_carried(source.tele_path)
-        own = _in_own_colours(photo, source, carried, rotated_deg=0 if shot is not None else facts.rotated_deg)
-        picture, told, focused = _blurred(own, result, bokeh, carried=carried)
+        own = _in_own_colours(photo, source, carried, rotated_deg=turned_deg)
+        subject_uv = _upright_place(read_photo_facts(source.tele_path).subject_uv, rotated_deg=turned_deg)
+        picture, told, focused = _blurred(own, result, bokeh, carried=carried, subject_uv=subject_uv)
         numbers |= focused
     numbers["total_s"] = time.monotonic() - begun_s
     return _Computed(
@@ -266,8 +269,20 @@ def _in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, 
     return upright(read_image(source.tele_path, is_converted=False), rotated_deg=rotated_deg)
 
 
+def _upright_place(place_uv: tuple[float, float] | None, *, rotated_deg: int) -> tuple[float, float] | None:
+    """A place after clockwise quarter turns of the photo."""
+    for _ in range(rotated_deg // 90):
+        place_uv = None if place_uv is None else (1 - place_uv[1], place_uv[0])
+    return place_uv
+
+
 def _blurred(
-    photo: FloatMap, result: DepthResult, bokeh: BokehOptions, *, carried: CarriedFacts
+    photo: FloatMap,
+    result: DepthResult,
+    bokeh: BokehOptions,
+    *,
+    carried: CarriedFacts,
+    subject_uv: tuple[float, float] | None,
 ) -> tuple[_Picture | None, tuple[str, ...], dict[str, float]]:
     """The bokeh picture, what to say of it, and what it is focused on; no picture where this shot cannot have it."""
     refusal = why_no_bokeh(bokeh, baseline_m=result.baseline_m, has_metres=result.depth_m is not None)
@@ -276,7 +291,7 @@ def _blurred(
     focus = find_focus(
         result.disparity.disparity_px,
         result.disparity.confidence,
-        focus=bokeh.focus,
+        focus=named_focus(bokeh.focus, subject_uv, hw=(photo.shape[0], photo.shape[1])),
         disparity_at_m=result.disparity_at,
     )
     pixels = bokeh_picture(photo, result.disparity, options=bokeh, baseline_m=result.baseline_m, focus=focus)

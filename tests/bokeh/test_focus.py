@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from telewide.bokeh.focus import Focus, find_focus
+from telewide.bokeh.focus import Focus, find_focus, named_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
@@ -90,6 +90,12 @@ def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str
 def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="X,Y"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
+
+
+def test_a_map_alone_knows_no_place_of_exif(scene_px: np.ndarray) -> None:
+    with pytest.raises(UsageError, match="no EXIF"):
+        find_focus(scene_px, np.ones_like(scene_px), focus="AF")
+    assert named_focus("near", (0.5, 0.5), hw=(10, 10)) == "near"
 
 
 def test_focus_without_any_disparity_is_refused() -> None:

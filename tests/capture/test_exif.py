@@ -22,7 +22,7 @@ from telewide.capture.exif import (
     read_photo_facts,
     seconds_between,
 )
-from telewide.capture.images import focal_length_mm
+from telewide.capture.images import focal_length_mm, read_image
 from telewide.errors import InputError, UsageError
 
 FLAT = np.full((40, 60), 0.5, np.float32)
@@ -230,3 +230,29 @@ def test_a_text_of_exif_is_one_short_line(tmp_path: Path) -> None:
     facts = read_photo_facts(tmp_path / "a.jpg")
     assert facts.make == "Maker error: all is lost !"
     assert facts.model == "x" * 100
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("area", [(45, 8), (45, 8, 6), (45, 8, 10, 6)])
+def test_the_place_that_was_focused_on_is_that_of_the_upright_photo(
+    tmp_path: Path, orientation: int, area: tuple[int, ...]
+) -> None:
+    levels = np.zeros((40, 60, 3), np.uint8)
+    levels[6:11, 43:48] = 255
+    exif = Image.Exif()
+    exif[274], exif[34665] = orientation, {37396: area, 40962: 60, 40963: 40}
+    Image.fromarray(levels).save(tmp_path / "a.png", exif=exif)
+    bright_y, bright_x = (at.mean() for at in np.nonzero(read_image(tmp_path / "a.png")[..., 0] > 0.5))
+    facts = read_photo_facts(tmp_path / "a.png")
+    assert facts.subject_uv is not None
+    assert facts.hw is not None
+    assert facts.subject_uv[0] * facts.hw[1] - 0.5 == pytest.approx(bright_x)
+    assert facts.subject_uv[1] * facts.hw[0] - 0.5 == pytest.approx(bright_y)
+
+
+@pytest.mark.parametrize("tags", [{}, {37396: (70, 8)}, {37396: (20, 8), 40962: 40, 40963: 60}, {37396: (1,) * 9}])
+def test_a_place_outside_the_photo_or_of_another_one_is_not_stated(tmp_path: Path, tags: dict[int, object]) -> None:
+    exif = Image.Exif()
+    exif[34665] = tags
+    Image.new("RGB", (60, 40)).save(tmp_path / "a.jpg", exif=exif)
+    assert read_photo_facts(tmp_path / "a.jpg").subject_uv is None

@@ -113,6 +113,28 @@ def test_bokeh_keeps_the_colours_and_the_words_of_its_photo(capture: Capture, tm
         assert not picture.getexif()
 
 
+@pytest.mark.parametrize("rotated_deg", [0, 90, 180, 270])
+def test_bokeh_is_focused_where_exif_says(capture: Capture, tmp_path: Path, rotated_deg: int) -> None:
+    exif = Image.Exif()
+    exif[34665] = {37396: (70, 20)}  # near, as `stepped` has it
+    Image.new("RGB", (HW[1], HW[0])).save(capture.tele_path, exif=exif)
+    facts = CaptureFacts(rectified=True, rotated_deg=rotated_deg)  # type: ignore[arg-type]
+    by_exif = made(capture, tmp_path, bokeh=BokehOptions(focus="af"), facts=facts)
+    assert by_exif.numbers["focus_px"] == 12
+    found = np.zeros(HW, np.float32)
+    found[20, 70] = 1
+    y, x = np.nonzero(upright(found, rotated_deg=rotated_deg))
+    assert (by_exif.numbers["focus_x_px"], by_exif.numbers["focus_y_px"]) == (x[0], y[0])
+    assert "EXIF" in by_exif.notes[-1]
+
+
+def test_without_such_a_place_the_focus_is_auto_and_said(capture: Capture, tmp_path: Path) -> None:
+    by_auto = made(capture, tmp_path, bokeh=BokehOptions())
+    by_exif = made(capture, tmp_path, bokeh=BokehOptions(focus="af"))
+    assert by_exif.numbers["focus_px"] == by_auto.numbers["focus_px"]
+    assert "EXIF names no place" in by_exif.notes[-1]
+
+
 def test_the_notes_say_how_sure_the_metres_are_and_what_pinned_them(capture: Capture, tmp_path: Path) -> None:
     geometry = rectified_geometry(phone_rig(width_px=HW[1]))
     seen_px = np.full(geometry.hw, 5.0, np.float32)
