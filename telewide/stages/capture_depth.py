@@ -229,17 +229,8 @@ def _compute(
     photo = photos.read(source.tele_path)
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
-    truth_px = read_truth(source, hw=photo.shape[:2])
-    if truth_px is not None and shot is None and facts.wide_side == "left":
-        truth_px = -truth_px  # it is x_tele - x_wide of the photos as given
-    if truth_px is not None and not np.isfinite(truth_px).any():
-        metric_notes = (
-            *metric_notes,
-            f"{source.name}: {source.truth_path} knows no disparity, so nothing is judged by it",
-        )
-    elif truth_px is not None:
-        numbers["3PE"] = three_pixel_error(result.disparity.disparity_px, truth_px)
-        numbers["EPE_px"] = end_point_error_px(result.disparity.disparity_px, truth_px)
+    errors, unjudged = _errors_by_truth(source, result, is_mirrored=shot is None and facts.wide_side == "left")
+    numbers |= errors
     turned_deg = result.rotated_deg
     photo, result = upright(photo, rotated_deg=turned_deg), stood_upright(result)
     picture: _Picture | None = None
@@ -254,12 +245,27 @@ def _compute(
     return _Computed(
         photo=photo,
         result=result,
-        metric_notes=metric_notes,
+        metric_notes=(*metric_notes, *unjudged),
         picture=picture,
         bokeh_notes=told,
         numbers=numbers,
         withheld=withheld,
     )
+
+
+def _errors_by_truth(
+    source: Capture, result: DepthResult, *, is_mirrored: bool
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Errors against a truth where the set has one, and what to say of one that knows nothing."""
+    found_px = result.disparity.disparity_px
+    truth_px = read_truth(source, hw=(found_px.shape[0], found_px.shape[1]))
+    if truth_px is None:
+        return {}, ()
+    if not np.isfinite(truth_px).any():
+        return {}, (f"{source.name}: {source.truth_path} knows no disparity, so nothing is judged by it",)
+    if is_mirrored:
+        truth_px = -truth_px  # it is x_tele - x_wide of the photos as given
+    return {"3PE": three_pixel_error(found_px, truth_px), "EPE_px": end_point_error_px(found_px, truth_px)}, ()
 
 
 def _in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, rotated_deg: int) -> FloatMap:
