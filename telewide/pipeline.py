@@ -20,7 +20,7 @@ from telewide.stages.depth import DepthOptions, DepthRun, compute_depth, make_fo
 from telewide.stages.match import choose_matcher
 from telewide.stages.observer import Observer
 from telewide.stages.prepare import prepare
-from telewide.stages.report import report
+from telewide.stages.report import report, report_depth
 from telewide.stages.run_folder import locate_run_of_depth
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def train_captures(
 def depth_captures(
     captures_root: Path, *, run: Path | None, recipe: Recipe, options: DepthOptions, observer: Observer
 ) -> DepthRun:
-    """Compute depth, and bokeh if asked, of every capture of a folder.
+    """Compute depth, and bokeh if asked, of every capture of a folder, and write a page to look at it.
 
     Args:
         captures_root: folder of the captures.
@@ -98,13 +98,13 @@ def depth_captures(
         matcher = choose_matcher(call, method=options.method, weights=options.weights)
         make_folder(call, options)
         pairs = prepare(call)
-        return compute_depth(call, pairs, matcher, options=options)
+        return report_depth(call, compute_depth(call, pairs, matcher, options=options))
 
 
 def run_captures(
     captures_root: Path, *, run: Path | None, recipe: Recipe, options: DepthOptions, observer: Observer
 ) -> DepthRun:
-    """Do what is still to do: train, compute depth and bokeh, write the report page.
+    """Do what is still to do: train where a network matches, compute depth and bokeh, write the report page.
 
     Args:
         captures_root: folder of the captures.
@@ -121,11 +121,13 @@ def run_captures(
     """
     from telewide.stages.train import train
 
-    device = options.device
+    trains = options.method == "network"
+    device = options.device if trains else "cpu"
     with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=options.rig) as call:
         refuse_what_cannot_be(call, options)
         pairs = prepare(call)
-        train(call, pairs, fresh=False)
+        if trains:
+            train(call, pairs, fresh=False)
         matcher = choose_matcher(call, method=options.method, weights=options.weights)
         depths = compute_depth(call, pairs, matcher, options=options)
-        return report(call, depths)
+        return report(call, depths) if trains else report_depth(call, depths)

@@ -30,6 +30,7 @@ from telewide.cli.show import SHOW_EPILOG, show
 from telewide.cli.simulate import SIMULATE_EPILOG, simulate
 from telewide.cli.stopping import INTERRUPTED, UNREAD, terminable
 from telewide.cli.train import TRAIN_EPILOG, train
+from telewide.cli.view import VIEW_EPILOG, view
 from telewide.errors import TelewideError, UsageError
 from telewide.text import printable
 from telewide.training.processes import this_process
@@ -53,6 +54,7 @@ app.command(epilog=SHOW_EPILOG)(show)
 app.command(epilog=TRAIN_EPILOG)(train)
 app.command(epilog=DEPTH_EPILOG)(depth)
 app.command("run", epilog=RUN_EPILOG)(run_everything)
+app.command(epilog=VIEW_EPILOG)(view)
 app.command("export-model", epilog=EXPORT_EPILOG)(export_model)
 app.command(epilog=SIMULATE_EPILOG)(simulate)
 app.add_typer(benchmark_app, name="benchmark")

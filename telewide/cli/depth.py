@@ -35,7 +35,7 @@ from telewide.cores import Device
 from telewide.errors import QualityError, UsageError
 from telewide.files import is_file
 from telewide.matching.methods import Method
-from telewide.text import counted
+from telewide.text import command_line, counted
 
 if TYPE_CHECKING:
     from telewide.bokeh.picture import BokehOptions
@@ -75,7 +75,7 @@ def depth(
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
     words = BokehWords.of_call(context)
-    _refuse_beside_sgm(method, weights, device)
+    refuse_beside_sgm(method, weights, device)
     options = depth_options(
         method=method,
         weights=weights,
@@ -97,7 +97,7 @@ def depth(
     hand_over(depth_as_json(done, observer), failure=why_not_good(done), as_json=as_json)
 
 
-def _refuse_beside_sgm(method: Method, weights: Path | None, device: Device) -> None:
+def refuse_beside_sgm(method: Method, weights: Path | None, device: Device) -> None:
     """Refuse what belongs to a network where none is used."""
     if method != "sgm":
         return
@@ -165,6 +165,8 @@ def say_depth(done: DepthRun, observer: ConsoleObserver) -> None:
     if done.outcomes:
         names = sorted(set.intersection(*({path.name for path in outcome.paths} for outcome in done.outcomes)))
         observer.said(f"each with: {', '.join(names)}")
+    if done.report is not None:
+        observer.said(f"to look at: {done.report}; `{command_line('view', done.report.parent)}` opens it")
 
 
 def why_not_good(done: DepthRun) -> QualityError | None:
@@ -183,6 +185,7 @@ def depth_as_json(done: DepthRun, observer: ConsoleObserver) -> dict[str, object
     """Return what was written as plain data, for ``--json``."""
     return {
         "folder": str(done.folder),
+        "report": None if done.report is None else str(done.report),
         "captures": [
             {
                 "name": outcome.name,

@@ -12,6 +12,7 @@ from telewide.cli.arguments import (
     DistanceOption,
     FormatOption,
     JsonOption,
+    MethodOption,
     QuietOption,
     RecipeOption,
     RigOption,
@@ -31,7 +32,7 @@ from telewide.cli.bokeh import (
     StripOption,
 )
 from telewide.cli.console import console_observer, hand_over, typed
-from telewide.cli.depth import depth_as_json, depth_options, say_depth, why_not_good
+from telewide.cli.depth import depth_as_json, depth_options, refuse_beside_sgm, say_depth, why_not_good
 
 RUN_EPILOG = "Example: `telewide run captures/ --recipe quick`"
 
@@ -41,6 +42,7 @@ def run_everything(
     captures: CapturesArgument = Path("captures"),
     *,
     recipe: RecipeOption = "default",
+    method: MethodOption = "network",
     out: RunFolderOption = None,
     settings: SetOption = None,
     focus: FocusOption = "auto",
@@ -63,9 +65,10 @@ def run_everything(
     from telewide.pipeline import run_captures
     from telewide.recipe import load_recipe
 
+    refuse_beside_sgm(method, None, device)
     words = BokehWords.of_call(context)
     options = depth_options(
-        method="network",
+        method=method,
         weights=None,
         bokeh=words.options(),
         out=None,
@@ -78,6 +81,4 @@ def run_everything(
     with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:
         done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
         say_depth(done, observer)
-        observer.said(f"report: {done.report}")
-    answer = {**depth_as_json(done, observer), "report": str(done.report)}
-    hand_over(answer, failure=why_not_good(done), as_json=as_json)
+    hand_over(depth_as_json(done, observer), failure=why_not_good(done), as_json=as_json)

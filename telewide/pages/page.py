@@ -1,11 +1,13 @@
-"""Pages from templates: single files without scripts that open from a disk or a mail, offline, in the reader's colours.
+"""Pages from templates: single files that open from a disk or a mail, offline, in the reader's colours.
 
+Where a page has a script, its content policy names that one by its hash, and allows no other.
 Every value is escaped where a template shows it, but for ``Markup``: HTML that a template made.
 """
 
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -73,7 +75,11 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.policies["json.dumps_kwargs"] = {"sort_keys": False}
     environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
+    environment.filters["sha256"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode(
+        "ascii"
+    )
     environment.filters["px"] = lambda value: f"{value:.1f}"
     environment.filters["with_options"] = with_options
     return environment

@@ -48,11 +48,13 @@ class ReportRow:
         name: of the capture.
         pictures: in the order they are shown, such as tele, wide, disparity, bokeh.
         numbers: its line in the table: heading, unit included, to value; None where there is none.
+        viewed: what the viewer shows of it, as `telewide.pages.viewed` gathers it; None where it cannot be looked at.
     """
 
     name: str
     pictures: tuple[Picture, ...] = ()
     numbers: Mapping[str, Number] = field(default_factory=dict)
+    viewed: Mapping[str, object] | None = None
 
     @property
     def is_upright(self) -> bool:
@@ -61,11 +63,33 @@ class ReportRow:
 
 
 @dataclass(frozen=True)
+class PageLink:
+    """One of several pages of a report.
+
+    Attributes:
+        name: what it shows.
+        link: its file, relative to the others.
+        is_this: whether it is the page that shows the link.
+    """
+
+    name: str
+    link: str
+    is_this: bool
+
+
+@dataclass(frozen=True)
 class NextStep:
     """Something worth doing now: a sentence, and the command that does it."""
 
     text: str
     command: str
+
+
+@dataclass(frozen=True)
+class _Scene:
+    name: str
+    thumbnail: Picture
+    content: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -109,6 +133,7 @@ def write_report(
     curves: Sequence[Curve] = (),
     next_steps: Sequence[NextStep] = (),
     facts: Mapping[str, str] | None = None,
+    others: Sequence[PageLink] = (),
 ) -> Path:
     """Write the report as one HTML file.
 
@@ -120,6 +145,7 @@ def write_report(
         curves: of the training, each drawn on its own.
         next_steps: what to do now.
         facts: where the page comes from: version, command, fingerprints.
+        others: all pages of the report, where there are several.
 
     Returns:
         The path.
@@ -130,6 +156,8 @@ def write_report(
         title=title,
         summary=summary,
         rows=rows,
+        scenes=[_Scene(row.name, row.pictures[0], row.viewed) for row in rows if row.viewed is not None],
+        others=others,
         table=_table(rows),
         curves=[curve_svg(curve) for curve in curves],
         next_steps=next_steps,

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
+
+import numpy as np
 
 from telewide.capture.images import read_image
 from telewide.capture.pair import PhotoPair
@@ -14,22 +18,36 @@ from telewide.depth.formats.numpy_archive import NPZ_NAME, read_disparity
 from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
-from telewide.errors import TelewideError
-from telewide.files import is_file
+from telewide.errors import InputError, TelewideError
+from telewide.files import is_file, read_regular
+from telewide.geometry.arrays import FloatImage
+from telewide.geometry.stereo import DisparityMap
+from telewide.npz import read_npz
 from telewide.pages.curves import Curve
-from telewide.pages.report import NextStep, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
+from telewide.pages.report import NextStep, PageLink, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
+from telewide.pages.viewed import Metric, viewed_capture
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
 from telewide.training.stages import plan_stages
 
 _log = logging.getLogger("telewide")
+CAPTURES_A_PAGE = 12
+_POLICY = b"default-src 'none'; img-src data:"  # stands in the head of every page of any version
+_HEAD_BYTES = 1024
+_MOST_PAGE_BYTES = 1 << 28
 
 
 def report_row(
-    pair: PhotoPair, folder: Path, *, root: Path, numbers: Mapping[str, float], rotated_deg: int = 0
+    pair: PhotoPair,
+    folder: Path,
+    *,
+    root: Path,
+    numbers: Mapping[str, float],
+    rotated_deg: int = 0,
+    corrected: Path | None = None,
 ) -> ReportRow:
-    """The line of one capture: its photos, preview and bokeh, and its numbers.
+    """The line of one capture: its photos, preview and bokeh, its numbers, and what a person can look at closely.
 
     Args:
         pair: the two photos.
@@ -37,43 +55,115 @@ def report_row(
         root: folder of the report, which links lead from.
         numbers: as the pipeline gives them.
         rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the results are.
+        corrected: folder with the corrected pair; None where there is none.
     """
-    views = (("wide", pair.wide), ("tele", pair.tele))
-    pictures = [thumbnail(label, upright(photo, rotated_deg=rotated_deg)) for label, photo in views]
-    try:
-        pictures.append(_disparity_picture(folder, root))
-    except TelewideError as error:
-        _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
+    tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
+    pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
+    others = {"wide": wide}
     bokeh = folder / "bokeh.jpg"
     if is_file(bokeh):
-        pictures.append(thumbnail("bokeh", read_image(bokeh), link=_link(bokeh, root)))
-    return ReportRow(pair.name, tuple(pictures), _table_line(numbers))
+        others["bokeh"] = read_image(bokeh)
+    viewed = None
+    try:
+        disparity = read_disparity(folder / NPZ_NAME)
+        pictures.append(_disparity_picture(disparity, folder, root))
+        corrections = {} if corrected is None else _corrected_pictures(corrected, rotated_deg=rotated_deg)
+        if disparity.disparity_px.shape == tele.shape[:2] and np.isfinite(disparity.disparity_px).any():
+            metric = _metric_of(folder / NPZ_NAME)
+            viewed = viewed_capture(tele, disparity, others={**others, **corrections}, metric=metric, name=pair.name)
+    except TelewideError as error:
+        _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
+    if "bokeh" in others:
+        pictures.append(thumbnail("bokeh", others["bokeh"], link=_link(bokeh, root)))
+    return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
+
+
+def _metric_of(npz: Path) -> Metric | None:
+    try:
+        K, baseline_m, doffs_px, _ = read_npz(npz, ("K", "baseline_m", "doffs_px", "depth_m"))
+    except InputError:  # it lacks them: metres are not known
+        return None
+    return Metric(float(K[0, 0]) * float(baseline_m), float(doffs_px), float(baseline_m))
+
+
+def _corrected_pictures(folder: Path, *, rotated_deg: int) -> dict[str, FloatImage]:
+    return {
+        f"{view}, corrected": upright(read_image(folder / f"{view}.png"), rotated_deg=rotated_deg)
+        for view in ("tele", "wide")
+        if is_file(folder / f"{view}.png")
+    }
 
 
 def write_run_page(
-    root: Path, rows: Iterable[ReportRow], *, log: Path, recipe: Recipe, captures: Path, invocation: Invocation
-) -> Path:
-    """Write ``report.html`` of a run.
+    root: Path,
+    rows: Iterable[ReportRow],
+    *,
+    names: Sequence[str],
+    log: Path,
+    summary: str,
+    next_steps: Sequence[NextStep],
+    facts: Mapping[str, str],
+) -> Path | None:
+    """Write ``report.html`` of a run, and ``report-2.html`` and so on where it shows more than a dozen captures.
 
     Args:
         root: the run folder.
-        rows: the captures.
+        rows: the captures, one after the other.
+        names: of all of them.
         log: of the training; need not be there.
-        recipe: it was trained with.
-        captures: folder of the captures.
-        invocation: the command that was typed, which the commands it names take up.
+        summary: a sentence or two.
+        next_steps: what to do now.
+        facts: where the results come from.
 
     Returns:
-        Path of the page.
+        Path of the first page; None where a file of somebody else's lies there.
     """
-    return write_report(
-        root / "report.html",
-        tuple(rows),
-        title="Depth and bokeh from a wide and a tele lens",
-        summary=recipe.description,
-        curves=training_curves(log),
-        next_steps=next_steps(root, recipe=recipe, invocation=invocation),
-        facts={"telewide": metadata.version("telewide"), "captures": str(captures)},
+    starts = range(0, max(len(names), 1), CAPTURES_A_PAGE)
+    files = [root / (f"report-{at + 1}.html" if at else "report.html") for at in range(len(starts))]
+    if any(not is_own_page(file) for file in files):
+        return None
+    known = iter(rows)
+    for at, start in enumerate(starts):
+        shown = [names[start : start + CAPTURES_A_PAGE] for start in starts]
+        links = [
+            PageLink(f"{some[0]} to {some[-1]}", file.name, file == files[at])
+            for some, file in zip(shown, files, strict=True)
+            if len(files) > 1
+        ]
+        write_report(
+            files[at],
+            tuple(itertools.islice(known, CAPTURES_A_PAGE)),
+            title="Depth and bokeh from a wide and a tele lens",
+            summary=summary,
+            curves=training_curves(log) if start == 0 else (),
+            next_steps=next_steps,
+            facts={"telewide": metadata.version("telewide"), **facts},
+            others=links,
+        )
+    return files[0]
+
+
+def is_own_page(path: Path) -> bool:
+    """Whether nothing lies there, or a page that telewide wrote."""
+    if not os.path.lexists(path):
+        return True
+    try:
+        return _POLICY in read_regular(path, most_bytes=_MOST_PAGE_BYTES)[:_HEAD_BYTES]
+    except TelewideError:
+        return False
+
+
+def steps_after_depth(invocation: Invocation) -> tuple[NextStep, ...]:
+    """Steps to take after depth alone.
+
+    Args:
+        invocation: the command that was typed.
+    """
+    near = invocation.again(bokeh=True, focus="near")
+    files = invocation.again(format="all")
+    return (
+        NextStep("Bokeh as a file, focused on the nearest thing or on a point (--focus 120,80):", near),
+        NextStep("Depth for other programs:", files),
     )
 
 
@@ -121,13 +211,11 @@ def _training_steps(recipe: Recipe) -> int:
     return sum(stage.options.steps for stage in plan_stages(recipe.train))
 
 
-def _disparity_picture(folder: Path, root: Path) -> Picture:
+def _disparity_picture(disparity: DisparityMap, folder: Path, root: Path) -> Picture:
     """The map alone, as large as the photos beside it; it leads to the preview with its scale."""
-    disparity = read_disparity(folder / NPZ_NAME)
     height, width = disparity.disparity_px.shape
-    result = DepthResult(name=folder.name, disparity=disparity)
     # Hatched at the size it is seen at: made smaller, thin lines vanish, and guesses look measured.
-    panel = disparity_panel(result, wh=thumbnail_wh((width, height)))
+    panel = disparity_panel(DepthResult(name=folder.name, disparity=disparity), wh=thumbnail_wh((width, height)))
     low_px, high_px = display_range_px(disparity.disparity_px, valid=disparity.valid)
     label = f"disparity, {round(low_px)} to {round(high_px)} px; hatched: filled in"
     return thumbnail(label, panel, link=_link(folder / "preview.png", root))

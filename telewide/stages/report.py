@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 from telewide.capture.pair import read_photos
-from telewide.pages.run_page import report_row, write_run_page
+from telewide.pages.report import NextStep, ReportRow
+from telewide.pages.run_page import next_steps, report_row, steps_after_depth, write_run_page
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
 
 
 def report(call: Call, done: DepthRun) -> DepthRun:
-    """Write the page about all captures of a call; one of several processes writes it.
+    """Write the page about all captures of a training with its depths.
 
     Args:
         call: whose run folder the page lies in.
@@ -20,25 +23,42 @@ def report(call: Call, done: DepthRun) -> DepthRun:
     Returns:
         The same depths, with the page's path where this process wrote it.
     """
+    steps = next_steps(call.folder.root, recipe=call.recipe, invocation=call.invocation)
+    return _written(call, done, summary=call.recipe.description, steps=steps)
+
+
+def report_depth(call: Call, done: DepthRun) -> DepthRun:
+    """Write the page about depths that were asked for alone; as :func:`report`."""
+    return _written(call, done, summary="", steps=steps_after_depth(call.invocation))
+
+
+def _written(call: Call, done: DepthRun, *, summary: str, steps: tuple[NextStep, ...]) -> DepthRun:
+    """Write the page beside the folder of the depths, or in it where its user named it; one process does."""
     if not call.processes.is_writer:
         return done
+    root = call.folder.root if done.folder == call.folder.depth else done.folder
+    page = write_run_page(
+        root,
+        _rows(call, done, root=root),
+        names=[outcome.name for outcome in done.outcomes],
+        log=call.folder.training_log,
+        summary=summary,
+        next_steps=steps,
+        facts={"captures": str(call.captures.root), "command": call.invocation.again()},
+    )
+    if page is None:
+        call.observer.warned(f"{root / 'report.html'} is not a page of telewide's, so it is left as it is: no report")
+    return replace(done, report=page)
+
+
+def _rows(call: Call, done: DepthRun, *, root: Path) -> Iterator[ReportRow]:
     captures = {capture.name: capture for capture in call.captures.captures}
-    rows = (
-        report_row(
+    for outcome in done.outcomes:
+        yield report_row(
             read_photos(captures[outcome.name], read=call.photos.read),
             done.folder / outcome.name,
-            root=call.folder.root,
+            root=root,
             numbers=outcome.numbers,
             rotated_deg=0 if call.rig is not None else call.captures.facts.rotated_deg,  # a rig's photos are not turned
+            corrected=call.folder.pairs / outcome.name,
         )
-        for outcome in done.outcomes
-    )
-    page = write_run_page(
-        call.folder.root,
-        rows,
-        log=call.folder.training_log,
-        recipe=call.recipe,
-        captures=call.captures.root,
-        invocation=call.invocation,
-    )
-    return replace(done, report=page)

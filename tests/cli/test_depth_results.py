@@ -85,6 +85,9 @@ def test_files_that_are_asked_for_by_name(tmp_path: Path, rng: np.random.Generat
             main((*words, *formats))
         codes.append(left.value.code or 0)
     assert codes == [0, 2]
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert 'data-scene="one"' in page
+    assert "0.012" in page.partition('"metric"')[2][:120]  # the distance of the lenses, m
     made = {path.name for path in (tmp_path / "run" / "depth" / "one").iterdir()}
     grey = {"photo.jpg", "photo_depth.png", "photo_depth_16.png"}
     assert made == {"depth.npz", "depth_mm.png", "depth.tif", "preview.png", "depth.json"} | grey

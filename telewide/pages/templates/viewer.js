@@ -1,0 +1,386 @@
+"use strict";
+// One capture at a time: click to focus, look around, compare, read distances. Everything it needs lies in the page.
+(() => {
+const root = document.getElementById("viewer");
+const scenes = [...document.querySelectorAll("script[data-scene]")];
+if (!root || !scenes.length) return;
+const byId = (id) => document.getElementById(id);
+const canvas = byId("picture");
+const TOTAL = 192, FIRST = 8; // lens points of a finished picture, and of its first frame
+const VERTEX = `#version 300 es
+void main() { gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) * 2.0 - 1.0, 0, 1); }`;
+// Each lens point sees the levels shifted by their blur radius; the nearest that is there hides the others. Where a level
+// is cut by another of the same surface it goes on under it; behind an edge the hidden picture goes on.
+const LENS = `#version 300 es
+precision highp float; precision highp sampler2D;
+uniform sampler2D photo, hidden, levels, span, former;
+uniform ivec2 size; uniform int cell; uniform vec2 ends, sharp; uniform float count, scale, cap, weight;
+uniform int points; uniform vec2 point[32];
+out vec4 colour;
+float radiusOf(int level) {
+  float d = mix(ends.x, ends.y, float(level) / (count - 1.0));
+  return clamp((d - clamp(d, sharp.x, sharp.y)) * scale, -cap, cap);
+}
+ivec2 mirrored(ivec2 at) { at = abs(at); return size - 1 - abs(size - 1 - at); }
+vec3 seen(ivec2 here, vec2 from, ivec2 between) {
+  vec3 last = texelFetch(photo, here, 0).rgb;
+  for (int level = between.y; level >= between.x; level--) {
+    ivec2 at = mirrored(ivec2(floor(vec2(here) + 0.5 - radiusOf(level) * from)));
+    ivec4 there = ivec4(texelFetch(levels, at, 0) * 255.0 + 0.5);
+    if (level <= there.r) {
+      if (level >= there.b) return texelFetch(photo, at, 0).rgb;
+      if (there.g < there.b && level <= there.g) {
+        vec3 behind = texelFetch(hidden, at, 0).rgb;
+        if (level >= there.a) return behind;
+        last = behind;
+      }
+    }
+  }
+  return last;
+}
+void main() {
+  ivec2 here = ivec2(gl_FragCoord.xy);
+  ivec2 between = ivec2(texelFetch(span, here / cell, 0).rg * 255.0 + 0.5);
+  vec3 sum = vec3(0);
+  for (int k = 0; k < points; k++) sum += seen(here, point[k], between);
+  colour = vec4(mix(texelFetch(former, here, 0).rgb, sum / float(points), weight), 1);
+}`;
+const SHOW = `#version 300 es
+precision highp float; precision highp sampler2D;
+uniform sampler2D light, levels; uniform ivec2 size; uniform int edges, jump; uniform vec2 mark;
+out vec4 colour;
+int levelAt(ivec2 at) { return int(texelFetch(levels, clamp(at, ivec2(0), size - 1), 0).r * 255.0 + 0.5); }
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy); at.y = size.y - 1 - at.y;
+  vec3 linear = clamp(texelFetch(light, at, 0).rgb, 0.0, 1.0);
+  vec3 srgb = mix(linear * 12.92, 1.055 * pow(linear, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, linear));
+  if (edges == 1) {
+    int own = levelAt(at);
+    if (own - min(levelAt(at + ivec2(1, 0)), levelAt(at + ivec2(0, 1))) > jump ||
+        own - min(levelAt(at - ivec2(1, 0)), levelAt(at - ivec2(0, 1))) > jump) srgb = vec3(1.0, 0.45, 0.1);
+  }
+  colour = vec4(srgb, 1);
+}`;
+
+let gl = null, depth = null, programs = null, scene = null, state = null, waiting = 0;
+
+function start() {
+  gl = canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true });
+  if (!gl) return false;
+  depth = gl.getExtension("EXT_color_buffer_float") ? gl.RGBA32F : gl.getExtension("EXT_color_buffer_half_float") ? gl.RGBA16F : null;
+  if (!depth) return false;
+  programs = { lens: program(LENS), show: program(SHOW) };
+  gl.bindVertexArray(gl.createVertexArray());
+  return true;
+}
+
+function program(fragment) {
+  const made = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
+  return made;
+}
+
+const place = (used, name) => gl.getUniformLocation(used, name);
+
+function texture(format, wh, kind, type, data) {
+  const made = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, made);
+  for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+  for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, name, gl.CLAMP_TO_EDGE);
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+  gl.texImage2D(gl.TEXTURE_2D, 0, format, wh[0], wh[1], 0, kind, type, data);
+  return made;
+}
+
+// Pixels of a picture as they are stored, (h, w, 4).
+async function pixels(uri) {
+  const text = atob(uri.slice(uri.indexOf(",") + 1)), bytes = new Uint8Array(text.length);
+  for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
+  const blob = new Blob([bytes], { type: uri.slice(5, uri.indexOf(";")) });
+  const bitmap = await createImageBitmap(blob, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+  const paper = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d", { willReadFrequently: true });
+  paper.drawImage(bitmap, 0, 0);
+  return paper.getImageData(0, 0, bitmap.width, bitmap.height).data;
+}
+
+// The farthest level beside a pixel that is no other surface: under it a level goes on.
+function lowest(levels, channel, [width, height], jump) {
+  const low = new Uint8Array(width * height);
+  for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) {
+    const own = levels[4 * (y * width + x) + channel];
+    let least = own;
+    for (let v = Math.max(y - 1, 0); v <= Math.min(y + 1, height - 1); v++)
+      for (let u = Math.max(x - 1, 0); u <= Math.min(x + 1, width - 1); u++) {
+        const other = levels[4 * (v * width + u) + channel];
+        if (other < least && own - other <= jump) least = other;
+      }
+    low[y * width + x] = least;
+  }
+  return low;
+}
+
+// Least and largest level that can reach the pixels of each square.
+function spans(levels, [width, height], cell, reach) {
+  const w = Math.ceil(width / cell), h = Math.ceil(height / cell);
+  const low = new Uint8Array(w * h).fill(255), high = new Uint8Array(w * h);
+  for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) {
+    const at = Math.floor(y / cell) * w + Math.floor(x / cell), from = 4 * (y * width + x);
+    low[at] = Math.min(low[at], levels[from], levels[from + 1]);
+    high[at] = Math.max(high[at], levels[from]);
+  }
+  const widened = (values, pick, step, count, apart, lines, line) => {
+    const out = new Uint8Array(values.length);
+    for (let l = 0; l < lines; l++) for (let k = 0; k < count; k++) {
+      let best = values[l * line + k * apart];
+      for (let j = Math.max(0, k - step); j <= Math.min(count - 1, k + step); j++)
+        best = pick(best, values[l * line + j * apart]);
+      out[l * line + k * apart] = best;
+    }
+    return out;
+  };
+  const step = Math.ceil(reach / cell) + 1, both = (values, pick) =>
+    widened(widened(values, pick, step, w, 1, h, w), pick, step, h, w, w, 1);
+  const far = both(low, Math.min), near = both(high, Math.max), packed = new Uint8Array(w * h * 2);
+  for (let k = 0; k < w * h; k++) { packed[2 * k] = far[k]; packed[2 * k + 1] = near[k]; }
+  return { packed, wh: [w, h] };
+}
+
+async function open(index) {
+  const told = JSON.parse(scenes[index].textContent);
+  const [photo, hidden, levels, map] = await Promise.all(
+    [told.pictures.tele, told.hidden, told.levels, told.map].map(pixels));
+  if (scene) for (const name of ["photo", "hidden", "levels", "span", "former", "next"]) gl.deleteTexture(scene[name]);
+  const both = new Uint8Array(levels.length), wh = told.wh, cell = 16;
+  const own = lowest(levels, 0, wh, told.jump), behind = lowest(levels, 1, wh, told.jump);
+  for (let k = 0; k < own.length; k++) {
+    both[4 * k] = levels[4 * k]; both[4 * k + 1] = levels[4 * k + 1]; both[4 * k + 2] = own[k]; both[4 * k + 3] = behind[k];
+  }
+  const span = spans(levels, wh, cell, told.capPx * 1.3), srgb = [gl.SRGB8_ALPHA8, wh, gl.RGBA, gl.UNSIGNED_BYTE];
+  scene = { told, index, map, cell, frame: gl.createFramebuffer(),
+    photo: texture(...srgb, new Uint8Array(photo.buffer)), hidden: texture(...srgb, new Uint8Array(hidden.buffer)),
+    levels: texture(gl.RGBA8, wh, gl.RGBA, gl.UNSIGNED_BYTE, both),
+    span: texture(gl.RG8, span.wh, gl.RG, gl.UNSIGNED_BYTE, span.packed),
+    former: texture(depth, wh, gl.RGBA, gl.FLOAT, null), next: texture(depth, wh, gl.RGBA, gl.FLOAT, null) };
+  canvas.width = wh[0]; canvas.height = wh[1];
+  root.style.setProperty("--ratio", `${wh[0]} / ${wh[1]}`);
+  root.style.setProperty("--aspect", wh[0] / wh[1]);
+  state = { at: told.focus, focus: told.focusPx, sharp: told.sharpPx, from: null, view: state ? state.view : "focus" };
+  for (const [k, each] of document.querySelectorAll("#strip button").entries())
+    each.setAttribute("aria-current", String(k === index));
+  byId("name").textContent = told.name;
+  byId("extent").textContent = extent();
+  for (const side of ["left", "right"]) choices(byId(side), side === "left" ? "tele" : "disparity");
+  aperture();
+  compare();
+  readOut(...told.focus);
+}
+
+function choices(select, wanted) {
+  const former = select.value || wanted;
+  select.replaceChildren(...Object.keys(scene.told.pictures).map((name) => new Option(name, name)));
+  select.value = former in scene.told.pictures ? former : wanted;
+}
+
+const inMetres = (metres) => metres < 1 ? `${(100 * metres).toFixed(0)} cm` : `${metres.toFixed(metres < 10 ? 2 : 0)} m`;
+
+function metres(disparity) { // px of the page's picture
+  const metric = scene.told.metric;
+  if (!metric) return null;
+  const depth = metric[0] / (disparity * scene.told.photoPx + metric[1]);
+  return depth > 0 && depth <= metric[3] ? depth : Infinity;
+}
+
+function extent() {
+  const [far, near] = scene.told.levelEnds.map(metres);
+  if (far === null) return "Distances are not known of this capture: it has no rig.";
+  return `From ${inMetres(near)} to ${far === Infinity ? "very far" : inMetres(far)}.`;
+}
+
+function disparityAt(x, y) {
+  const told = scene.told, at = 4 * (y * told.wh[0] + x), [red, green, blue] = scene.map.subarray(at, at + 3);
+  if (blue === 255) return { disparity: null, confidence: null };
+  const share = (256 * red + green) / told.mapSteps;
+  return { disparity: told.mapEnds[0] + share * (told.mapEnds[1] - told.mapEnds[0]),
+    confidence: blue === 0 ? null : (blue - 1) / 253 };
+}
+
+function readOut(x, y) {
+  const { disparity, confidence } = disparityAt(x, y), photo = scene.told.photoPx, away = disparity === null ? null : metres(disparity);
+  const words = [`x ${Math.round((x + 0.5) * photo - 0.5)}, y ${Math.round((y + 0.5) * photo - 0.5)}`];
+  words.push(disparity === null ? "not known" : `${(disparity * photo).toFixed(1)} px`);
+  if (away !== null) words.push(away === Infinity ? "too far to tell" : inMetres(away));
+  words.push(confidence === null ? "filled in, not measured" : `confidence ${(100 * confidence).toFixed(0)} %`);
+  byId("readout").textContent = words.join(" · ");
+}
+
+// Points of the opening: a sequence that fills a square evenly (R2, Roberts 2018), of which those inside are kept.
+function lensPoints(blades, count) {
+  const half = Math.PI / (blades || 1), points = [];
+  let area = 0;
+  for (let k = 0; k < 4096; k++) {
+    const edge = blades ? Math.cos(half) / Math.cos(((k + 0.5) / 4096 * 2 * Math.PI) % (2 * half) - half) : 1;
+    area += edge * edge / 4096;
+  }
+  const reach = 1 / Math.sqrt(area);
+  for (let k = 1; points.length < count; k++) {
+    const x = reach * (2 * ((0.5 + k * 0.7548776662466927) % 1) - 1), y = reach * (2 * ((0.5 + k * 0.5698402909980532) % 1) - 1);
+    let angle = Math.atan2(-x, y) % (2 * half);
+    if (angle < 0) angle += 2 * half;
+    const edge = reach * (blades ? Math.cos(half) / Math.cos(angle - half) : 1);
+    if (Math.hypot(x, y) <= edge) points.push([x, y]);
+  }
+  return points;
+}
+
+function aperture() {
+  const stops = Number(byId("stop").value), number = Math.pow(2, stops / 6), metric = scene.told.metric;
+  const blades = Number(byId("blades").value);
+  // r = A / (2 B) per px of disparity, A = 50 mm / f-number; without metres the default blur stands for f/1.8.
+  state.scale = metric ? 0.05 / number / (2 * metric[2]) : scene.told.radiusPerPx * 1.8 / number;
+  byId("stop").setAttribute("aria-valuetext", `f/${number.toFixed(1)}`);
+  byId("number").textContent = `f/${number.toFixed(1)}`;
+  byId("bladesWord").textContent = blades < 5 ? "round" : String(blades);
+  state.points = lensPoints(blades < 5 ? 0 : blades, TOTAL);
+  redraw();
+}
+
+function redraw() {
+  state.done = 0;
+  canvas.dataset.done = "0";
+  canvas.dataset.drawing = String(Number(canvas.dataset.drawing || 0) + 1);
+  if (!waiting) waiting = requestAnimationFrame(frame);
+}
+
+function pass(used, target, wh, textures) {
+  gl.useProgram(used);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, target ? scene.frame : null);
+  if (target) gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, target, 0);
+  gl.viewport(0, 0, wh[0], wh[1]);
+  Object.entries(textures).forEach(([name, bound], unit) => {
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(gl.TEXTURE_2D, bound);
+    gl.uniform1i(place(used, name), unit);
+  });
+}
+
+let share = FIRST, before = 0;
+function frame(now) {
+  waiting = 0;
+  if (!scene || state.view === "compare") return;
+  const told = scene.told, wh = told.wh, looks = state.view === "around";
+  if (state.done && before && now > before) // as many points as keep a frame below a fifteenth of a second
+    share = Math.min(32, Math.max(2, Math.round(share * (now - before > 66 ? 0.6 : now - before < 30 ? 1.5 : 1))));
+  before = now;
+  const total = looks ? 1 : TOTAL, some = looks ? [state.from || [0, 0]] : state.points.slice(state.done, state.done + share);
+  const lens = programs.lens;
+  pass(lens, scene.next, wh, { photo: scene.photo, hidden: scene.hidden, levels: scene.levels, span: scene.span, former: scene.former });
+  gl.uniform2i(place(lens, "size"), wh[0], wh[1]);
+  gl.uniform1i(place(lens, "cell"), scene.cell);
+  gl.uniform2f(place(lens, "ends"), ...told.levelEnds);
+  gl.uniform2f(place(lens, "sharp"), ...(looks ? [state.focus, state.focus] : state.sharp));
+  gl.uniform1f(place(lens, "count"), told.levelCount);
+  // Looking around, what is farthest from the focus moves by 2 % of the picture.
+  const widest = Math.max(...told.levelEnds.map((end) => Math.abs(end - state.focus)), 1e-6);
+  gl.uniform1f(place(lens, "scale"), looks ? 0.02 * Math.max(...wh) / widest : state.scale);
+  gl.uniform1f(place(lens, "cap"), told.capPx);
+  gl.uniform1f(place(lens, "weight"), some.length / (state.done + some.length));
+  gl.uniform1i(place(lens, "points"), some.length);
+  gl.uniform2fv(place(lens, "point"), some.flat());
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+  [scene.former, scene.next] = [scene.next, scene.former];
+  state.done += some.length;
+  const show = programs.show;
+  pass(show, null, wh, { light: scene.former, levels: scene.levels });
+  gl.uniform2i(place(show, "size"), wh[0], wh[1]);
+  gl.uniform1i(place(show, "edges"), byId("edges").checked ? 1 : 0);
+  gl.uniform1i(place(show, "jump"), told.jump);
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+  const mark = byId("mark");
+  mark.style.left = `${100 * (state.at[0] + 0.5) / wh[0]}%`;
+  mark.style.top = `${100 * (state.at[1] + 0.5) / wh[1]}%`;
+  canvas.dataset.done = state.done >= total ? "1" : "0";
+  if (state.done < total) waiting = requestAnimationFrame(frame); else before = 0;
+}
+
+function focusAt(x, y) {
+  const { disparity } = disparityAt(x, y);
+  state.at = [x, y];
+  if (disparity !== null) { state.focus = disparity; state.sharp = [disparity, disparity]; }
+  readOut(x, y);
+  redraw();
+}
+
+function pixelOf(event) {
+  const box = canvas.getBoundingClientRect(), wh = scene.told.wh;
+  const held = (value, most) => Math.min(Math.max(Math.floor(value), 0), most - 1);
+  return [held((event.clientX - box.left) / box.width * wh[0], wh[0]), held((event.clientY - box.top) / box.height * wh[1], wh[1])];
+}
+
+function lookFrom(event) {
+  const box = canvas.getBoundingClientRect();
+  state.from = [2 * (event.clientX - box.left) / box.width - 1, 2 * (event.clientY - box.top) / box.height - 1];
+  redraw();
+}
+
+canvas.addEventListener("pointerdown", (event) => {
+  if (state.view === "around") { canvas.setPointerCapture(event.pointerId); lookFrom(event); } else focusAt(...pixelOf(event));
+});
+canvas.addEventListener("pointermove", (event) => {
+  if (!scene) return;
+  readOut(...pixelOf(event));
+  if (state.view === "around" && event.buttons) lookFrom(event);
+});
+canvas.addEventListener("pointerleave", () => scene && readOut(...state.at));
+canvas.addEventListener("keydown", (event) => {
+  const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  if (!step) return;
+  event.preventDefault();
+  const wh = scene.told.wh, held = (value, most) => Math.min(Math.max(Math.round(value), 0), most - 1);
+  if (state.view === "around") {
+    const from = state.from || [0, 0];
+    state.from = step.map((each, k) => Math.min(Math.max(from[k] + 0.1 * each, -1), 1));
+    redraw();
+  } else focusAt(...step.map((each, k) => held(state.at[k] + each * 0.02 * Math.max(...wh), wh[k])));
+});
+canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+canvas.addEventListener("webglcontextrestored", () => { const { index } = scene; scene = null; if (start()) open(index); });
+for (const id of ["stop", "blades"]) byId(id).addEventListener("input", aperture);
+byId("edges").addEventListener("change", redraw);
+
+function compare() {
+  const [under, over] = ["right", "left"].map((side) => scene.told.pictures[byId(side).value]);
+  byId("under").src = under;
+  byId("over").src = over;
+  byId("under").alt = `${byId("right").value} of ${scene.told.name}`;
+  byId("over").alt = `${byId("left").value} of ${scene.told.name}`;
+  divide();
+}
+function divide() { root.style.setProperty("--cut", `${byId("divider").value}%`); }
+for (const id of ["left", "right"]) byId(id).addEventListener("change", compare);
+byId("divider").addEventListener("input", divide);
+
+function show(view) {
+  state.view = root.dataset.view = view;
+  for (const each of document.querySelectorAll("#views button"))
+    each.setAttribute("aria-pressed", String(each.value === view));
+  redraw();
+}
+for (const each of document.querySelectorAll("#views button")) each.addEventListener("click", () => show(each.value));
+for (const [k, each] of document.querySelectorAll("#strip button").entries()) each.addEventListener("click", () => open(k));
+
+// A link to one of many captures: report.html#name.
+const named = decodeURIComponent(location.hash.slice(1));
+const first = Math.max(scenes.findIndex((each) => each.dataset.scene === named), 0);
+if (!start()) { byId("lack").hidden = false; root.dataset.view = "none"; return; }
+document.documentElement.dataset.live = "1";
+open(first).then(() => show("focus"));
+})();

@@ -1,0 +1,157 @@
+"""One capture as the page shows it: pictures and maps inside the page, small enough to be mailed.
+
+Maps are PNGs of 8-bit channels, which browsers decode exactly. Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from telewide.bokeh.focus import find_focus
+from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
+from telewide.bokeh.picture import DEFAULT_STRENGTH_SHARE
+from telewide.bokeh.render import LARGEST_RADIUS_SHARE, largest_step_px
+from telewide.depth.preview import disparity_panel
+from telewide.depth.result import FARTHEST_M, DepthResult
+from telewide.drawing import fitted_wh, scaled_image
+from telewide.geometry.arrays import ByteImage, FloatImage, FloatMap
+from telewide.geometry.stereo import DisparityMap, resize_disparity
+
+LONGEST_PX = 1200
+STEPS = 4095
+"""Disparity is shown to so many parts of its range: what lies below is noise, and takes half of the file."""
+MOST_BYTES = 5_800_000
+"""Of one capture in the page, base64 included."""
+_QUALITIES = (88, 75, 60, 40)
+_CONFIDENCE_STEPS = 50
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Where the scale is known: ``depth_m = scale_px_m / (disparity_px + doffs_px)``, px of the photo.
+
+    Attributes:
+        scale_px_m: focal length times distance of the lenses.
+        doffs_px: disparity of what is infinitely far, negated.
+        baseline_m: distance of the lenses.
+    """
+
+    scale_px_m: float
+    doffs_px: float
+    baseline_m: float
+
+
+def viewed_capture(
+    photo: FloatImage, disparity: DisparityMap, *, others: Mapping[str, FloatImage], metric: Metric | None, name: str
+) -> dict[str, object]:
+    """Gather what the page needs of a capture, as plain data.
+
+    Args:
+        photo: (H, W, 3) the tele photo, upright, sRGB in [0, 1].
+        disparity: (H, W) on it.
+        others: further pictures to compare it with, by their labels, of any size.
+        metric: how disparity becomes metres; None where that is not known.
+        name: of the capture.
+
+    Raises:
+        InputError: no disparity is known.
+    """
+    wh = fitted_wh((photo.shape[1], photo.shape[0]), box_wh=(LONGEST_PX, LONGEST_PX))
+    wh = wh if wh[0] < photo.shape[1] else (photo.shape[1], photo.shape[0])
+    small, maps = _scaled(photo, wh=wh), _resized(disparity, wh=wh)
+    levels = sort_by_level(small, maps.disparity_px)
+    known = np.isfinite(maps.disparity_px)
+    low_px, high_px = float(maps.disparity_px[known].min()), float(maps.disparity_px[known].max())
+    focus = find_focus(maps.disparity_px, maps.confidence, focus="auto")
+    span_px = largest_step_px(maps.disparity_px, focus.disparity_px, sharp_px=focus.sharp_px)
+    result = DepthResult(name=name, disparity=maps)
+    pictures = {"tele": small, **{label: _scaled(other, wh=wh) for label, other in others.items()}}
+    pictures["disparity"] = disparity_panel(result, wh=wh)
+    maps_png = {
+        "levels": _png(np.dstack([levels.level, levels.hidden_level, np.zeros_like(levels.level)])),
+        "map": _png(_packed(maps, low_px, high_px)),
+    }
+    strongest = max(small.shape[:2]) * DEFAULT_STRENGTH_SHARE / max(span_px, 1e-6)
+    return {
+        "name": name,
+        "wh": list(wh),
+        "photoPx": photo.shape[1] / wh[0],
+        **_encoded(pictures, hidden=levels.hidden, most_bytes=MOST_BYTES - sum(len(png) for png in maps_png.values())),
+        **maps_png,
+        "levelEnds": list(levels.ends_px),
+        "levelCount": COUNT,
+        "jump": JUMP,
+        "mapEnds": [low_px, high_px],
+        "mapSteps": STEPS,
+        "focus": [focus.x_px, focus.y_px],
+        "focusPx": focus.disparity_px,
+        "sharpPx": list(focus.sharp_px or (focus.disparity_px, focus.disparity_px)),
+        "radiusPerPx": strongest,
+        "capPx": LARGEST_RADIUS_SHARE * min(small.shape[:2]),
+        "metric": None if metric is None else [metric.scale_px_m, metric.doffs_px, metric.baseline_m, FARTHEST_M],
+    }
+
+
+def _scaled(picture: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
+    """A picture as large as the frame allows, on grey where its sides are of another proportion."""
+    if (picture.shape[1], picture.shape[0]) == wh:
+        return picture
+    inner = fitted_wh((picture.shape[1], picture.shape[0]), box_wh=wh)
+    fitted = np.clip(scaled_image(picture, wh=inner), 0, 1)
+    framed = np.full((wh[1], wh[0], 3), 0.5, np.float32)
+    top, left = (wh[1] - inner[1]) // 2, (wh[0] - inner[0]) // 2
+    framed[top : top + inner[1], left : left + inner[0]] = fitted
+    return framed
+
+
+def _resized(disparity: DisparityMap, *, wh: tuple[int, int]) -> DisparityMap:
+    def nearest(values: FloatMap) -> FloatMap:
+        return np.asarray(cv2.resize(values, wh, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
+
+    if (disparity.disparity_px.shape[1], disparity.disparity_px.shape[0]) == wh:
+        return disparity
+    return DisparityMap(
+        resize_disparity(disparity.disparity_px, wh=wh),
+        nearest(disparity.confidence),
+        nearest(disparity.valid.astype(np.float32)) > 0,
+    )
+
+
+def _packed(maps: DisparityMap, low_px: float, high_px: float) -> ByteImage:
+    """Disparity in red (upper) and green (lower bits), confidence in blue; blue 0 was not measured, 255 unknown."""
+    share = (maps.disparity_px - low_px) / max(high_px - low_px, 1e-6)
+    steps = np.round(np.nan_to_num(share, nan=0.0) * STEPS).astype(np.uint16)
+    known = np.clip(np.nan_to_num(maps.confidence), 0, 1)
+    confidence = np.round(np.round(known * _CONFIDENCE_STEPS) / _CONFIDENCE_STEPS * 253) + 1
+    confidence = np.where(maps.valid, confidence, 0)
+    confidence = np.where(np.isfinite(maps.disparity_px), confidence, 255)
+    return np.dstack([steps >> 8, steps & 255, confidence]).astype(np.uint8)
+
+
+def _encoded(pictures: Mapping[str, FloatImage], *, hidden: FloatImage, most_bytes: int) -> dict[str, object]:
+    """Pictures as JPEGs, of as good a quality as their bytes allow."""
+    for quality in _QUALITIES:
+        encoded = {label: _jpeg(picture, quality=quality) for label, picture in pictures.items()}
+        behind = _jpeg(hidden, quality=quality)
+        if len(behind) + sum(len(jpeg) for jpeg in encoded.values()) <= most_bytes:
+            break
+    return {"pictures": encoded, "hidden": behind}
+
+
+def _jpeg(picture: FloatImage, *, quality: int) -> str:
+    levels = np.round(np.clip(np.nan_to_num(picture), 0, 1) * 255).astype(np.uint8)
+    return _uri("jpeg", levels, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+def _png(levels: ByteImage) -> str:
+    return _uri("png", levels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def _uri(kind: str, levels: ByteImage, suffix: str, parameters: list[int]) -> str:
+    _, encoded = cv2.imencode(suffix, np.ascontiguousarray(levels[..., ::-1]), parameters)
+    return f"data:image/{kind};base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"

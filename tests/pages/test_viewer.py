@@ -1,0 +1,218 @@
+"""The page in a browser: its pixels against the Python renderer's, clicks, keys, and widths."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from bokeh.layered_world import reference_world
+from pages.browser import page_in_browser
+from PIL import Image
+
+from telewide.bokeh.aperture import Aperture
+from telewide.bokeh.render import radius_per_px_from_f_number, render_bokeh
+from telewide.geometry.arrays import FloatImage, FloatMap
+from telewide.geometry.stereo import DisparityMap
+from telewide.pages.report import NextStep, ReportRow, thumbnail, write_report
+from telewide.pages.viewed import Metric, viewed_capture
+from telewide.srgb import srgb_from_linear
+
+SIDE = 128
+METRIC = Metric(scale_px_m=12.0, doffs_px=2.0, baseline_m=0.02)
+DONE = "canvas[data-done='1']"
+pytestmark = pytest.mark.slow
+
+
+def world() -> tuple[FloatImage, FloatMap]:
+    """Slanted ground, a wheel with thin spokes, a near post, and small lights."""
+    truth = reference_world(SIDE)
+    photo = np.clip(srgb_from_linear(truth.photo_linear()), 0, 1).astype(np.float32)
+    return photo, (8 * truth.disparity_px()).astype(np.float32)
+
+
+def page_of(tmp_path: Path, *, metric: Metric | None) -> tuple[Path, dict[str, object]]:
+    photo, disparity_px = world()
+    maps = DisparityMap(disparity_px, np.full_like(disparity_px, 0.9), np.ones(disparity_px.shape, np.bool_))
+    told = viewed_capture(photo, maps, others={"wide": photo[::-1]}, metric=metric, name="wheel")
+    rows = [ReportRow(name, (thumbnail("tele", photo),), {"a rather long heading, px": 1.5}, told) for name in "ab"]
+    command = "telewide depth " + "a/very/long/folder/name/" * 12
+    path = write_report(tmp_path / "report.html", rows, title="Page", next_steps=[NextStep("Next:", command)])
+    return path, told
+
+
+def pixels(page: Any) -> FloatImage:
+    uri = page.evaluate("document.getElementById('picture').toDataURL('image/png')")
+    return _decoded(uri)
+
+
+def _decoded(uri: object) -> FloatImage:
+    levels = np.asarray(Image.open(io.BytesIO(base64.b64decode(str(uri).split(",")[1]))).convert("RGB"))
+    return levels.astype(np.float32) / 255
+
+
+@contextmanager
+def drawn_anew(page: Any) -> Iterator[None]:
+    """Wait for the picture that the body asks for."""
+    former = page.locator("canvas").get_attribute("data-drawing")
+    yield
+    page.wait_for_selector(f"canvas[data-done='1']:not([data-drawing='{former}'])", timeout=120_000)
+
+
+def click(page: Any, x: int, y: int) -> None:
+    box = page.locator("canvas").bounding_box()
+    at = {"x": (x + 0.5) * box["width"] / SIDE, "y": (y + 0.5) * box["height"] / SIDE}
+    with drawn_anew(page):
+        page.locator("canvas").click(position=at)  # scrolls to it first
+
+
+def turn(page: Any, name: str, value: int) -> None:
+    with drawn_anew(page):
+        page.locator(f"#{name}").fill(str(value))
+
+
+def psnr(a: FloatImage, b: FloatImage) -> float:
+    return float(-10 * np.log10(np.mean((a - b) ** 2)))
+
+
+def place_of(disparity_px: FloatMap, value_px: float) -> tuple[int, int]:
+    y, x = np.unravel_index(np.abs(disparity_px - value_px).argmin(), disparity_px.shape)
+    return int(x), int(y)
+
+
+@pytest.mark.parametrize("stop", [5, 0])
+def test_pixels_are_those_of_the_python_renderer(tmp_path: Path, stop: int) -> None:
+    """f/1.8 and f/1, focused near and far, with and without blades."""
+    path, told = page_of(tmp_path, metric=METRIC)
+    sharp = _decoded(told["pictures"]["tele"])  # type: ignore[index]
+    _, disparity_px = world()
+    per_px = radius_per_px_from_f_number(f_number=2 ** (stop / 6), baseline_m=METRIC.baseline_m)
+    found = []
+    with page_in_browser(path) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        turn(page, "stop", stop)
+        for focus_px, blades in ((disparity_px.max(), None), (disparity_px.min(), None), (disparity_px.min(), 6)):
+            turn(page, "blades", blades or 4)
+            x, y = place_of(disparity_px, focus_px)
+            click(page, x, y)
+            aperture = Aperture(blades=blades)
+            expected = render_bokeh(
+                sharp,
+                disparity_px,
+                focus_disparity_px=float(disparity_px[y, x]),
+                radius_per_px=per_px,
+                aperture=aperture,
+            )
+            found.append((psnr(pixels(page), expected), psnr(sharp, expected)))
+    assert min(same for same, _ in found) >= 35, found
+    assert min(same - blurred for same, blurred in found) > 6, found  # there was something to blur
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Any]:
+    """The page with metres, drawn."""
+    with page_in_browser(page_of(tmp_path, metric=METRIC)[0]) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        yield page
+
+
+def test_clicking_two_things_exchanges_their_sharpness(opened: Any) -> None:
+    _, disparity_px = world()
+    near, far = (disparity_px == disparity_px.max()), (disparity_px == disparity_px.min())
+    inside = [cv2.erode(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0 for mask in (near, far)]
+
+    def sharpness() -> list[float]:
+        edges = cv2.Laplacian(pixels(opened).mean(axis=2), cv2.CV_32F)
+        return [float(edges[mask].std()) for mask in inside]
+
+    click(opened, *place_of(disparity_px, disparity_px.max()))
+    near_sharp, far_blurred = sharpness()
+    click(opened, *place_of(disparity_px, disparity_px.min()))
+    near_blurred, far_sharp = sharpness()
+    assert near_sharp > 1.3 * near_blurred
+    assert far_sharp > 1.3 * far_blurred
+
+
+def test_read_out_says_place_disparity_metres_and_confidence(opened: Any) -> None:
+    _, disparity_px = world()
+    x, y = place_of(disparity_px, disparity_px.max())
+    click(opened, x, y)
+    told = opened.inner_text("#readout")
+    metres = METRIC.scale_px_m / (float(disparity_px[y, x]) + METRIC.doffs_px)
+    assert told == f"x {x}, y {y} · {disparity_px[y, x]:.1f} px · {metres:.2f} m · confidence 90 %"
+    assert opened.inner_text("#extent") == "From 1.20 m to 6.00 m."
+
+
+def test_keys_move_the_focus_and_turn_the_aperture(opened: Any) -> None:
+    before = opened.inner_text("#readout")
+    opened.locator("canvas").focus()
+    for _ in range(8):
+        opened.keyboard.press("ArrowLeft")
+    assert opened.inner_text("#readout") != before
+    opened.locator("#stop").focus()
+    opened.keyboard.press("End")
+    assert opened.inner_text("#number") == "f/16.0"
+    opened.wait_for_selector(DONE, timeout=120_000)
+    outline = opened.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline == "solid"
+
+
+def test_looking_around_moves_what_is_near_against_what_is_far(opened: Any) -> None:
+    _, disparity_px = world()
+    click(opened, *place_of(disparity_px, disparity_px.min()))
+    with drawn_anew(opened):
+        opened.click("#views button[value=around]")
+    straight = pixels(opened)
+    box = opened.locator("canvas").bounding_box()
+    with drawn_anew(opened):
+        opened.locator("canvas").click(position={"x": box["width"] - 1, "y": box["height"] / 2})
+    apart = np.abs(pixels(opened) - straight).mean(axis=2)
+    far = cv2.erode((disparity_px == disparity_px.min()).astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+    assert apart[far].mean() < 0.01 < apart[disparity_px == disparity_px.max()].mean()
+
+
+def test_comparing_shows_two_pictures_that_meet_where_the_slider_stands(opened: Any) -> None:
+    opened.click("#views button[value=compare]")
+    assert opened.locator("#left option").all_inner_texts() == ["tele", "wide", "disparity"]
+    opened.select_option("#right", "wide")
+    opened.locator("#divider").fill("25")
+    assert opened.evaluate("getComputedStyle(document.getElementById('over')).clipPath") == "inset(0px 75% 0px 0px)"
+    sources = opened.evaluate("['over', 'under'].map((id) => document.getElementById(id).src)")
+    assert sources[0] != sources[1]
+
+
+def test_the_strip_changes_the_capture(opened: Any) -> None:
+    second = opened.locator("#strip button").nth(1)
+    second.click()
+    opened.wait_for_function("document.querySelectorAll('#strip [aria-current=true]').length === 1")
+    assert second.get_attribute("aria-current") == "true"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_is_cut_off_at_the_width_of_a_phone(tmp_path: Path, scheme: str) -> None:
+    path, _ = page_of(tmp_path, metric=None)
+    with page_in_browser(path, wh=(390, 844), color_scheme=scheme, has_touch=True) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        page.locator("canvas").tap(position={"x": 60, "y": 60})
+        assert "confidence" in page.inner_text("#readout")
+        assert "not known" in page.inner_text("#extent")
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        cut = page.evaluate(
+            "[...document.querySelectorAll('td, th, pre, dd, button, p, label')].filter((e) => e.scrollWidth >"
+            " e.clientWidth + 1 && e.closest('thead') === null && getComputedStyle(e).display !== 'inline')"
+            ".map((e) => e.outerHTML.slice(0, 80))"
+        )
+        assert cut == []
+
+
+def test_without_scripts_the_pictures_are_there(tmp_path: Path) -> None:
+    path, _ = page_of(tmp_path, metric=METRIC)
+    with page_in_browser(path, java_script_enabled=False) as page:
+        assert page.locator(".static img").first.is_visible()
+        assert not page.locator("#viewer").is_visible()
