@@ -34,6 +34,10 @@ MAX_TILE_PIXELS = 2_500_000
 ENLARGED_TO_PIXELS, MOST_ENLARGED = 1280 * 640, 1.5
 """Smaller views are enlarged up to this before a network with cells of 4 px matches them: cells are too coarse for all
 that small pictures show."""
+LEAST_DETAIL = 1 / 7
+"""Of ref's detail, that src must have: where it is coarser, larger views show no more. Of views 4 times as coarse all have
+more, of those 8 times as coarse none (Middlebury, KITTI)."""
+DETAIL_SIGMA_PX = 1.0
 SAME_SURFACE_PX = 0.5
 LEAST_BF16_GAIN = 1.2
 _may_use_bf16: ContextVar[bool] = ContextVar("may_use_bf16", default=True)
@@ -135,7 +139,8 @@ def match_with_network(
     check_window(window)
     network.eval()
     hw = ref.shape[:2]
-    enlarged_hw = _enlarged_hw(hw) if network.has_confidence else hw
+    gains = network.has_confidence and _detail(src) >= LEAST_DETAIL * _detail(ref)
+    enlarged_hw = _enlarged_hw(hw) if gains else hw
     if enlarged_hw == hw:
         found = _match_views(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)
     else:
@@ -146,6 +151,13 @@ def match_with_network(
         )
         found = _shrunken(larger, hw)
     return without_unphotographed(found, valid)
+
+
+def _detail(view: FloatImage) -> float:
+    """Mean distance of a view from its blurred self, in standard deviations of the view."""
+    grey = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY)
+    fine = np.abs(grey - cv2.GaussianBlur(grey, (0, 0), DETAIL_SIGMA_PX))
+    return float(fine.mean() / max(float(grey.std()), 1e-6))
 
 
 def _enlarged_hw(hw: tuple[int, ...]) -> tuple[int, ...]:

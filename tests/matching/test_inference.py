@@ -26,6 +26,7 @@ from telewide.matching.inference import (
 )
 from telewide.matching.networks import StereoNetwork, build_network, standardise
 from telewide.matching.volume import correlate_groups, expect_disparity
+from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene
 from telewide.training.checkpoint import new_state
@@ -347,3 +348,20 @@ def test_small_views_are_matched_as_if_they_were_larger(monkeypatch: pytest.Monk
         results.append(match_with_network(ref, src, network=build_network(name, seed=1), window=(0, 32)))
     assert sizes == [((96, 144), (0, 48)), ((68, 102), (0, 36)), ((64, 96), (0, 32)), ((64, 96), (0, 32))]
     assert all(found.disparity_px.shape == (64, 96) for found in results)
+
+
+@pytest.mark.parametrize(("factor", "is_enlarged"), [(1, True), (4, True), (12, False)])
+def test_views_are_not_enlarged_where_the_other_one_is_coarse(
+    factor: int, is_enlarged: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = render_pair(random_scene(np.random.default_rng(1), hw=(96, 144), disparity_window_px=(6.0, 26.0)))
+    sizes = []
+
+    def seen(ref: NDArray[np.float32], *_: object, **__: object) -> DisparityMap:
+        sizes.append(ref.shape[:2])
+        return DisparityMap(ref[..., 0], ref[..., 1], ref[..., 2] > 0)
+
+    monkeypatch.setattr(inference, "_match_views", seen)
+    src = shrink_and_enlarge(pair.src, factor=factor)
+    match_with_network(pair.ref, src, network=build_network("guided", seed=1), window=(0, 32))
+    assert sizes == [(144, 216) if is_enlarged else (96, 144)]
