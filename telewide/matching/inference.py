@@ -35,8 +35,8 @@ ENLARGED_TO_PIXELS, MOST_ENLARGED = 1280 * 640, 1.5
 """Smaller views are enlarged up to this before a network with cells of 4 px matches them: cells are too coarse for all
 that small pictures show."""
 LEAST_DETAIL = 1 / 7
-"""Of ref's detail, that src must have: where it is coarser, larger views show no more. Of views 4 times as coarse all have
-more, of those 8 times as coarse none (Middlebury, KITTI)."""
+"""Of ref's detail, that src must have: where it is coarser, larger views show no more. All views 4 times as coarse have
+more, none 8 times as coarse (Middlebury, KITTI)."""
 DETAIL_SIGMA_PX = 1.0
 SAME_SURFACE_PX = 0.5
 LEAST_BF16_GAIN = 1.2
