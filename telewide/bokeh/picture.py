@@ -27,6 +27,8 @@ from telewide.geometry.stereo import DisparityMap
 PictureKind = Literal["jpg", "tif"]
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
+HELD_BACK = "the strongest blur is held"
+"""Words of :func:`held_back_note`."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +231,7 @@ def held_back_note(
     if not asked_px > cap_px:
         return None
     return (
-        f"{name}: the strongest blur is held at a radius of {cap_px:.0f} px, a tenth of the photo's shorter side; "
+        f"{name}: {HELD_BACK} at a radius of {cap_px:.0f} px, a tenth of the photo's shorter side; "
         f"{asked_px:.0f} px were asked for"
     )
 

@@ -177,7 +177,9 @@ def why_not_good(done: DepthRun) -> QualityError | None:
     return QualityError(
         f"disparity was written to {done.folder}, but no capture has depth in metres; {withheld[0]}",
         hint="measure the distance of one point in each photo and name it with --distance X,Y,M; or calibrate from "
-        "photos of a board",
+        "photos of a board"
+        if done.has_rig
+        else "correct what captures.yaml states, and run the command again",
     )
 
 

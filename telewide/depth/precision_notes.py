@@ -12,6 +12,8 @@ from telewide.depth.result import DepthResult
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 
+ALL_NEGATIVE = "of its disparities are negative"
+"""What :func:`without_depth_behind` says of disparities without metres."""
 BEHIND_SHARE = 0.9
 """Where so much of a photo has a negative disparity, the lenses rather stand the other way round."""
 HARDLY_KNOWN_SHARE = 0.5
@@ -149,7 +151,7 @@ def without_depth_behind(result: DepthResult, *, has_rig: bool) -> tuple[DepthRe
         else "if wide stands to the left of tele, near and far are exchanged: state wide_side: left in captures.yaml"
     )
     if result.depth_m is None:
-        return result, f"{result.name}: {share:.0%} of its disparities are negative; {side}"
+        return result, f"{result.name}: {share:.0%} {ALL_NEGATIVE}; {side}"
     else_px = "" if has_rig else "state doffs_px, or "
     told = f"{result.name}: no depth in metres: {share:.0%} of it would lie behind the cameras; {else_px}{side}"
     return replace(result, depth_m=None, depth_std_m=None), told

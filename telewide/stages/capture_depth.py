@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from telewide.bokeh.focus import Focus, find_focus, named_focus
-from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
+from telewide.bokeh.picture import HELD_BACK, BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
 from telewide.capture.carried import CarriedFacts, read_carried
 from telewide.capture.colour_profiles import is_other_than_srgb
 from telewide.capture.exif import read_photo_facts
@@ -32,6 +32,7 @@ from telewide.depth.formats.numpy_archive import NPZ_NAME
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
 from telewide.depth.precision_notes import (
+    ALL_NEGATIVE,
     hardly_known_notes,
     pinned_shot,
     without_depth_behind,
@@ -104,9 +105,13 @@ class DepthOutcome:
 
     @property
     def shortcomings(self) -> tuple[str, ...]:
-        """The notes that tell of less than was asked for."""
-        no_bokeh = _no_bokeh_note(self.name, "")
-        return tuple(note for note in self.notes if note == self.withheld or note.startswith(no_bokeh))
+        """The notes that tell of less than was asked for, or that near and far may be exchanged."""
+        telling = (_no_bokeh_note(self.name, ""), f"{self.name}: {HELD_BACK}")
+        return tuple(
+            note
+            for note in self.notes
+            if note == self.withheld or note.startswith(telling) or ALL_NEGATIVE in note.removeprefix(self.name)
+        )
 
 
 def _no_bokeh_note(name: str, why: str) -> str:

@@ -72,12 +72,14 @@ class DepthRun:
         folder: where it lies.
         outcomes: one a capture, sorted by name.
         problems: captures left out, and why.
+        has_rig: whether the photos were rectified with a rig.
         report: the report page, where this process wrote one.
     """
 
     folder: Path
     outcomes: tuple[DepthOutcome, ...]
     problems: tuple[Problem, ...]
+    has_rig: bool = True
     report: Path | None = None
 
 
@@ -141,17 +143,20 @@ def _refuse_the_photos_folder(call: Call, out: Path) -> None:
 
 
 def _check_distance(call: Call, options: DepthOptions) -> None:
+    if (options.known is not None or options.trusts_focus) and call.rig is None:
+        # A rig is no use to photos that are stated to be rectified: it would be refused.
+        is_rectified = call.captures.facts.rectified is True
+        stated = "captures.yaml states that these photos are rectified: state baseline_m, f_px and doffs_px there"
+        raise UsageError(
+            "--distance pins a rig to what was measured, and these captures have none",
+            hint=stated if is_rectified else how_to_calibrate(call.captures.root),
+        )
     if options.known is not None and len(call.captures.captures) > 1:
         stated = call.invocation.options.get("distance", "X,Y,M")
         one = call.invocation.instead("depth", only=call.captures.captures[0].name, distance=stated)
         raise UsageError(
             f"--distance is of a point in one photo; {call.captures.root} holds {len(call.captures.captures)} captures",
             hint=f"name one: {one}",
-        )
-    if (options.known is not None or options.trusts_focus) and call.rig is None:
-        raise UsageError(
-            "--distance needs a rig: without one no disparity is a distance",
-            hint=how_to_calibrate(call.captures.root),
         )
     if options.known is not None:
         with suppress(InputError):  # a photo that cannot be read is a problem of its capture, said where it is read
@@ -224,7 +229,7 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
         asked["trusts_focus"] = [item.capture.name for item in prepared.pairs if _stated_focus(item) is not None]
     record(call, prepared, command="depth", options=asked, timings={"depth": time.monotonic() - begun_s})
     problems = (*prepared.problems, *(failure.problem for failure in failures))
-    return DepthRun(options.out or call.folder.depth, outcomes, problems)
+    return DepthRun(options.out or call.folder.depth, outcomes, problems, has_rig=call.rig is not None)
 
 
 def _searched(call: Call, prepared: PreparedSet, matcher: Matcher) -> Window:

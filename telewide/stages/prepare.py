@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from telewide.calibration.rig_file import RIG_FILE, StoredRig
+from telewide.calibration.rig_file import StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict, read_photo_facts
 from telewide.capture.facts import WideSide
 from telewide.capture.images import focal_length_mm, resize_bicubic
@@ -57,7 +57,7 @@ from telewide.stages.call import Call, alone
 from telewide.stages.kept_pairs import SHOT_NAME, files_of_pair, key_of, read_kept, write_pair
 from telewide.stages.pair_record import RECORD_NAME, ColourFigures, PairRecord
 from telewide.stages.pairs import PreparedPair, PreparedSet
-from telewide.stages.rig import how_to_calibrate
+from telewide.stages.rig import how_to_calibrate, lying_rig
 from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line
 
@@ -102,7 +102,7 @@ def prepare(call: Call) -> PreparedSet:
     """
     captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
     if call.rig is not None and call.rig.quality.verdict == "insufficient":
-        shown = command_line("show", call.rig_file or RIG_FILE)
+        shown = command_line("show", call.rig_file or lying_rig(captures))
         call.observer.warned(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
     call.observer.preparing(captures)
     with alone(call.processes, call.folder.pairs, observer=call.observer):

@@ -31,8 +31,7 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
         UsageError: the named file does not exist, or the captures are stated to be rectified.
         InputError: it is no rig.
     """
-    folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
-    lying = next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
+    lying = lying_rig(captures)
     if captures.facts.rectified:
         if stated is not None:
             raise UsageError(
@@ -45,6 +44,12 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
     if stated is not None:
         return read_rig(stated)
     return None if lying is None else read_rig(lying)
+
+
+def lying_rig(captures: CaptureSet) -> Path | None:
+    """Find the rig file that lies by a set of captures, or None; see :func:`locate_rig`."""
+    folders = (captures.root, captures.root.absolute().parent, captures.root.absolute().parent.parent, Path.cwd())
+    return next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
 
 
 def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from importlib import metadata
@@ -254,18 +255,33 @@ def layouts(folder: Path, kind: str) -> tuple[Path, str]:
 
 @pytest.mark.parametrize("kind", ["folders", "suffix", "views"])
 def test_a_distance_can_be_stated_in_every_layout(
-    kind: str, captures: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, captures: Path, capsys: pytest.CaptureFixture[str], repo: Path
 ) -> None:
-    """The command that is advised names one capture, whatever the layout, and gets as far as the missing rig."""
+    """The command that is advised names one capture, whatever the layout, and gets as far as the photo's border."""
     folder, name = layouts(captures, kind)
-    words = ("depth", folder.name, "--method", "sgm", "--out", "my depth", "--distance", "5,5,2")
-    one = f"telewide depth captures --method sgm --distance 5,5,2 --out 'my depth' --only {name}\n"
+    words = ("depth", folder.name, "--method", "sgm", "--out", "my depth", "--distance", "5000,5,2")
+    one = f"telewide depth captures --method sgm --distance 5000,5,2 --out 'my depth' --only {name}\n"
+    state(captures, rectified=None)
+    shutil.copy(repo / "calib" / "rigs" / "example_phone.yaml", captures / "rig.yaml")
     refused(capsys, *words, code=2, names=(f"name one: {one}",))
-    refused(capsys, *shlex.split(one)[1:], code=2, names=("--distance needs a rig", "telewide calibrate"))
+    refused(capsys, *shlex.split(one)[1:], code=2, names=("the point 5000,5 lies outside the tele photo",))
     refused(capsys, "run", "captures", "--distance", "5,5,2", code=2, names=(f"telewide depth captures --only {name}",))
+    (captures / "rig.yaml").unlink()
+    state(captures, rectified=True)
     refused(capsys, "depth", "--only", "00", code=2, names=("no capture 00", "000"))
     assert run_cli("depth", "--method", "sgm", "--only", "001", "--json") == 0
     assert [capture["name"] for capture in json.loads(capsys.readouterr().out)["captures"]] == ["001"]
+
+
+@pytest.mark.parametrize(("rectified", "hint"), [(None, "telewide calibrate boards"), (True, "state baseline_m, f_px")])
+def test_a_distance_without_a_rig_is_refused_with_a_way_that_leads_on(
+    captures: Path, capsys: pytest.CaptureFixture[str], *, rectified: bool | None, hint: str
+) -> None:
+    """Of two captures and of one alike; photos that are stated to be rectified could use no rig."""
+    state(captures, rectified=rectified)
+    for only in ((), ("--only", "000")):
+        words = ("depth", *only, "--method", "sgm", "--distance", "5,5,2")
+        refused(capsys, *words, code=2, names=("--distance pins a rig", hint))
 
 
 def test_what_is_less_than_asked_for_is_said_quietly_too_and_stands_in_the_answer(

@@ -36,6 +36,9 @@ def test_results_are_good_as_long_as_one_capture_has_what_its_rig_promises() -> 
     assert "run/depth" in failure.message
     assert failure.message.endswith("no metres")
     assert "--distance" in str(failure.hint)
+    rectified = why_not_good(replace(run_of("no metres"), has_rig=False))
+    assert rectified is not None
+    assert "--distance" not in str(rectified.hint), "which needs a rig"
 
 
 def test_json_says_what_the_exit_code_means(capsys: pytest.CaptureFixture[str]) -> None:

@@ -407,7 +407,7 @@ def test_a_blur_as_strong_as_asked_for_is_not_spoken_of(bokeh: BokehOptions, cap
 
 def test_a_blur_above_the_largest_is_said_to_be_held_back(capture: Capture, tmp_path: Path) -> None:
     """A tenth of the shorter side of 60 px; by pixels and by an aperture alike."""
-    notes = "\n".join(made(capture, tmp_path / "run", bokeh=BokehOptions(strength_px=24)).notes)
+    notes = "\n".join(made(capture, tmp_path / "run", bokeh=BokehOptions(strength_px=24)).shortcomings)
     assert "held at a radius of 6 px" in notes
     assert "24 px were asked for" in notes
     known = CaptureFacts(rectified=True, baseline_m=0.012)
@@ -452,7 +452,7 @@ def test_lenses_that_stand_the_other_way_round_are_spoken_of(
         key={"mirrored": True},
     )
     assert isinstance(outcome, DepthOutcome)
-    assert any("wide_side: left" in note for note in outcome.notes)
+    assert any("wide_side: left" in note for note in outcome.shortcomings)
     assert (outcome.withheld is not None) == (facts.baseline_m is not None)
     with np.load(tmp_path / "a" / "depth.npz") as arrays:
         assert "depth_m" not in arrays

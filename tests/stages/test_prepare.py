@@ -79,7 +79,7 @@ def test_a_rig_that_is_not_good_enough_is_said_quietly_too(
     with pytest.raises(SystemExit):
         main(words)
     told = capsys.readouterr()
-    assert "the rig is marked insufficient: telewide show" in told.err
+    assert f"the rig is marked insufficient: telewide show {captures / 'rig.yaml'} says" in told.err
     assert any("marked insufficient" in warning for warning in json.loads(told.out)["warnings"])
 
 
