@@ -146,10 +146,10 @@ def _check_distance(call: Call, options: DepthOptions) -> None:
     if (options.known is not None or options.trusts_focus) and call.rig is None:
         # A rig is no use to photos that are stated to be rectified: it would be refused.
         is_rectified = call.captures.facts.rectified is True
-        stated = "captures.yaml states that these photos are rectified: state baseline_m, f_px and doffs_px there"
+        by_facts = "captures.yaml states that these photos are rectified: state baseline_m, f_px and doffs_px there"
         raise UsageError(
             "--distance pins a rig to what was measured, and these captures have none",
-            hint=stated if is_rectified else how_to_calibrate(call.captures.root),
+            hint=by_facts if is_rectified else how_to_calibrate(call.captures.root),
         )
     if options.known is not None and len(call.captures.captures) > 1:
         stated = call.invocation.options.get("distance", "X,Y,M")
