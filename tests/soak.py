@@ -1,7 +1,8 @@
 """Load and faults, measured on the command line: ``make soak`` runs it; its figures stand in docs/reliability.md.
 
-    python tests/soak.py [kill] [full] [closed] [two] [many] [large]
+    python tests/soak.py [strangers] [kill] [full] [closed] [two] [many] [large]
 
+strangers: each strange file that tests/strangers describes; prints the table of docs/reliability.md.
 kill: SIGKILL at random moments of train, depth, run and calibrate; the next call must finish, and files be whole.
 full: no file may grow beyond a limit, as on a full disk, at growing limits; the same must hold.
 closed: folders that cannot be written to. two: two commands into one run folder at once.
@@ -24,6 +25,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -32,6 +34,8 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from strangers.table import Given, rows
+from strangers.world import write_run, write_world
 
 import telewide
 from telewide.capture.images import read_image
@@ -58,6 +62,7 @@ COMMANDS = {
 }
 MADE = ("run", "rig.yaml", "rig.html")
 PASSES = {0, 4}
+RIG, STUCK_S = Path(__file__).parents[1] / "calib" / "rigs" / "example_phone.yaml", 600
 
 
 @dataclass(frozen=True)
@@ -170,6 +175,33 @@ def forget(folder: Path) -> None:
 
 def copied(base: Path, name: str) -> Path:
     return Path(shutil.copytree(base, base.with_name(name)))
+
+
+def strangers(base: Path) -> None:
+    made = base.with_name("here")
+    made.mkdir()
+    done(lambda: write_world(made, rig=RIG), base)
+    done(write_run, made)
+    for row in rows(copied(made, "strangers"), call=given_by):
+        tell(row)
+
+
+def given_by(command: str, folder: Path) -> Given:
+    """Run a command with a limit of processor time, and of what it may ask for; one that waits for ever is killed."""
+    own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    call = started(command, folder, first=limited)
+    killer = threading.Timer(STUCK_S, os.killpg, (call.pid, signal.SIGKILL))
+    killer.start()
+    ended = call.end()
+    killer.cancel()
+    return Given(ended.code, ended.said, ended.cpu_s, max(0.0, ended.peak_mb - own_mb))
+
+
+def limited() -> None:
+    """Hear both streams, and end what takes all the machine has."""
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
+    resource.setrlimit(resource.RLIMIT_AS, (16 << 30, 16 << 30))
 
 
 def kill(base: Path) -> None:
@@ -289,7 +321,13 @@ def tell(line: str) -> None:
 
 
 def main() -> None:
-    parts: dict[str, Callable[[Path], None]] = {"kill": kill, "full": full, "closed": closed, "two": two}
+    parts: dict[str, Callable[[Path], None]] = {
+        "strangers": strangers,
+        "kill": kill,
+        "full": full,
+        "closed": closed,
+        "two": two,
+    }
     parts |= {"many": many, "large": large}
     for module in pkgutil.walk_packages(telewide.__path__, "telewide."):
         if not module.name.endswith("__main__"):

@@ -33,7 +33,7 @@ from telewide.cli.bokeh import (
 from telewide.cli.console import console_observer, hand_over, typed
 from telewide.cores import Device
 from telewide.errors import QualityError, UsageError
-from telewide.files import is_file
+from telewide.files import is_there
 from telewide.matching.methods import Method
 from telewide.text import command_line, counted
 
@@ -142,7 +142,7 @@ def depth_options(
     from telewide.depth.pin import parse_known_distance
     from telewide.stages.depth import DepthOptions
 
-    if weights is not None and not is_file(weights):
+    if weights is not None and not is_there(weights):
         raise UsageError(f"{weights} does not exist; a weights file was expected")
     trusts_focus = distance == "exif"
     return DepthOptions(

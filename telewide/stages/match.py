@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from telewide.assets import BOX_WEIGHTS
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint, is_file
+from telewide.files import fingerprint, is_file, is_there
 from telewide.matching.matcher import LEARNED_STD, Matcher
 from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
@@ -39,9 +39,9 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Match
         MissingPartError: cuda was asked for and is not there.
     """
     path = weights or call.folder.weights
-    if method != "sgm" and not is_file(path):  # said before torch is imported, which takes seconds
-        if weights is not None:
-            raise UsageError(f"{path} does not exist; a weights file was expected")
+    if method != "sgm" and weights is not None and not is_there(weights):  # before torch is imported, for seconds
+        raise UsageError(f"{path} does not exist; a weights file was expected")
+    if method != "sgm" and weights is None and not is_file(path):
         path = BOX_WEIGHTS
         better = call.invocation.instead("train")
         call.observer.said(f"matched by the network that comes with telewide; made better on your photos: {better}")

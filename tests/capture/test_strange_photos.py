@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 import tifffile
 from capture.dng import gain_map, opcode_list, warp, write_dng
+from capture.strange_bytes import looped_tiff, overwrite_tag, png_of_size, progressive_jpeg
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
@@ -47,15 +48,6 @@ def bounded(*, seconds: float = 10, megabytes: float = 600) -> Iterator[None]:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < megabytes * 1024
 
 
-def looped_tiff(*, n_directories: int = 1) -> bytes:
-    """A TIFF whose directories follow each other round in a circle."""
-    data = struct.pack("<2sHI", b"II", 42, 8)
-    for number in range(n_directories):
-        following = 8 + 18 * ((number + 1) % n_directories)
-        data += struct.pack("<HHHIHHI", 1, 254, 4, 1, 1, 0, following)
-    return data
-
-
 @pytest.mark.parametrize("name", ["a.dng", "a.nef", "a.tif"])
 @pytest.mark.parametrize("n_directories", [1, 3, 200])
 def test_directories_without_end_are_read_once(tmp_path: Path, name: str, n_directories: int) -> None:
@@ -75,13 +67,6 @@ def test_a_roll_with_a_looped_photo_is_imported_without_it(tmp_path: Path) -> No
     reasons = {one.photo.path.name: one.reason for one in plan.unpaired}
     assert set(reasons) == {"a.dng", "b.jpg"}
     assert "is a pipe" in reasons["b.jpg"]
-
-
-def png_of_size(width: int, height: int) -> bytes:
-    """The head of a PNG, and next to nothing after it."""
-    chunks = [b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b"IDAT" + zlib.compress(bytes(100))]
-    packed = [struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
 
 
 def test_a_size_beyond_belief_is_called_that(tmp_path: Path) -> None:
@@ -168,15 +153,6 @@ def test_a_small_tiff_of_a_size_beyond_belief_is_refused(tmp_path: Path, name: s
     overwrite_tag(path, 257, 26_000)
     with bounded(), pytest.raises(InputError, match="26000 x 26000 px, too large to be believed"):
         read_image(path)
-
-
-def overwrite_tag(path: Path, code: int, value: int) -> None:
-    """Change a number in the first directory of a TIFF, as LONG."""
-    with tifffile.TiffFile(path) as tiff:
-        offset, order = tiff.pages.first.tags[code].offset, tiff.byteorder
-    data = bytearray(path.read_bytes())
-    struct.pack_into(f"{order}HII", data, offset + 2, 4, 1, value)
-    path.write_bytes(data)
 
 
 def test_a_strip_that_decompresses_to_more_than_it_should_is_refused(tmp_path: Path) -> None:
@@ -368,17 +344,6 @@ def test_two_photos_with_equal_holes_are_not_compared(tmp_path: Path) -> None:
         os.truncate(tmp_path / "one" / f"{view}.jpg", 1 << 40)
     with bounded(megabytes=50):
         assert len(find_captures(tmp_path).captures) == 1  # reading it says why it is left out
-
-
-def progressive_jpeg(*, n_scans: int) -> bytes:
-    """64 x 64 px of grey: the means of its blocks, then scans that add nothing to them."""
-    tables = b"\xff\xdb\x00\x43\x00" + bytes([16] * 64)
-    tables += b"\xff\xc2" + struct.pack(">HBHHB", 11, 8, 64, 64, 1) + bytes([1, 0x11, 0])
-    tables += b"\xff\xc4" + struct.pack(">H", 20) + bytes([0x00, 1, *[0] * 15, 0])
-    tables += b"\xff\xc4" + struct.pack(">H", 20) + bytes([0x10, 1, *[0] * 15, 0xE0])  # 2^14 blocks end here
-    means = b"\xff\xda" + struct.pack(">HB", 8, 1) + bytes([1, 0, 0, 0, 0]) + bytes(8)
-    nothing = b"\xff\xda" + struct.pack(">HB", 8, 1) + bytes([1, 0, 1, 63, 0]) + b"\x00\x01"
-    return b"\xff\xd8" + tables + means + nothing * (n_scans - 1) + b"\xff\xd9"
 
 
 def test_a_jpeg_of_more_scans_than_encoders_make_is_refused(tmp_path: Path) -> None:
