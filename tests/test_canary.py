@@ -13,28 +13,19 @@ from pathlib import Path
 from types import FrameType
 
 import pytest
-from PIL import Image
+import typer
+from strangers.world import TINY, state_of, write_world
 
 from telewide.cli import main
-from telewide.simulate.captures import write_captures
+from telewide.cli.app import app
 
 HANGS_AFTER_S = 600
-NAMES = (
-    *("tele.png", "wide.png", "tele.jpg", "pair.json", "shot.json", "matches.npz", "labels_0_32.pfm", "run.json"),
-    *("state.pt", "weights.safetensors", "training.json", "log.jsonl", "rehearsal.png", "rehearsal.safetensors"),
-    *(
-        "disparity.pfm",
-        "disparity.png",
-        "depth.npz",
-        "depth.json",
-        "preview.png",
-        "bokeh.jpg",
-        "report.html",
-        "rig.yaml",
-    ),
-)
-TINY = ("--set", "train.rehearsal.steps=10", "--set", "train.crop_hw=[64,64]", "--set", "train.photometric.steps=0")
-TINY += ("--set", "train.stages=0", "--set", "train.rehearsal.rehearsed=1", "--set", "train.rehearsal.captured=0")
+MARKS = """format: 1
+photo_wh: [128, 96]
+captures:
+  "000":
+    planes: {wall: [[10, 10], [60, 10], [60, 60]]}
+"""
 LINKS = (
     *("run/train", "run/depth", "run/pairs", "run/pairs/000", "run/depth/000"),
     *(f"run/train/{name}" for name in ("log.jsonl", "state.pt", "training.json", "rehearsal.png")),
@@ -47,49 +38,50 @@ PIPES = (
 )
 
 
+COMMANDS = (
+    "depth captures --method sgm --bokeh --quiet",
+    "depth captures --method sgm --run run --out run/depth --quiet",
+    f"train captures --fresh {TINY}",
+    f"run captures --out run {TINY}",
+    "import roll captures --quiet",
+    "calibrate captures --from-scenes --f35 54,27 --quiet --out rig.yaml",
+    "calibrate captures --quiet --out run/rig.yaml",
+    "show rig.yaml",
+    "board chessboard_9x6 --out run/board.pdf --quiet",
+    "simulate run --captures 1",
+    "benchmark matches captures --run run",
+)
+LONG_COMMANDS = (
+    "export-model run --window 0,16 --size 128x64 --out run/telewide.onnx --quiet",
+    "benchmark marks captures --marks marks.yaml --run run --sheets run/sheets --json run/run.json",
+    "benchmark bokeh captures --run run --json run/run.json",
+    "benchmark middlebury captures --split test --run run",
+    "benchmark paper --table overall --data captures --systems sgm --out run",
+    "benchmark metres --run run --captures 1 --boards 3 --width 96 --keep run/kept --json run/run.json",
+    "benchmark speed --matcher sgm --repeats 1 --warm-up 0 --json run/run.json",
+)
+
+
 def first_quick(places: tuple[str, ...], n_quick: int) -> list[object]:
     """The first few in the quick tests, the others in the slow ones."""
     return [pytest.param(place, marks=[pytest.mark.slow] if at >= n_quick else []) for at, place in enumerate(places)]
 
 
 @pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def clean(tmp_path_factory: pytest.TempPathFactory, repo: Path) -> Path:
     """Captures, a roll of their photos, and the canary."""
     root = tmp_path_factory.mktemp("clean")
-    write_captures(root / "captures", count=2, seed=1, hw=(96, 128), factor=2)
-    (root / "roll").mkdir()
-    for number, (view, focal_mm) in enumerate((("tele", 9.0), ("wide", 4.5))):
-        exif = Image.Exif()
-        exif.get_ifd(34665).update({36867: f"2024:05:06 07:08:0{number}", 37386: focal_mm, 41989: round(6 * focal_mm)})
-        with Image.open(root / "captures" / "000" / f"{view}.png") as photo:
-            photo.save(root / "roll" / f"{number}00.jpg", exif=exif)
-    (root / "canary").mkdir()
-    for name in NAMES:
-        (root / "canary" / name).write_text(f"precious {name}")
+    write_world(root, rig=repo / "calib" / "rigs" / "example_phone.yaml")
+    (root / "marks.yaml").write_text(MARKS)
     return root
 
 
-def state_of(folder: Path) -> dict[str, tuple[bytes, int]]:
-    return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
-
-
-def call_every_command(root: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+def call_every_command(
+    root: Path, monkeypatch: pytest.MonkeyPatch, *, commands: tuple[str, ...] = COMMANDS
+) -> dict[str, int]:
     """The exit code of each, none of which may hang."""
     monkeypatch.chdir(root)
-    commands = (
-        "depth captures --method sgm --bokeh --quiet",
-        "depth captures --method sgm --run run --out run/depth --quiet",
-        f"train captures --fresh --quiet {' '.join(TINY)}",
-        f"run captures --quiet --out run {' '.join(TINY)}",
-        "import roll captures --quiet",
-        "calibrate captures --from-scenes --f35 54,27 --quiet --out rig.yaml",
-        "calibrate captures --quiet --out run/rig.yaml",
-        "show rig.yaml",
-        "board chessboard_9x6 --out run/board.pdf --quiet",
-        "simulate run --captures 1",
-        "benchmark matches captures --run run",
-    )
-    codes = {}
+    codes: dict[str, int] = {}
 
     def stop(signum: int, frame: FrameType | None) -> None:
         raise TimeoutError
@@ -100,7 +92,7 @@ def call_every_command(root: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str,
             signal.alarm(HANGS_AFTER_S)
             with pytest.raises(SystemExit) as left:
                 main(command.split())
-            codes[command.split()[0]] = max(int(left.value.code or 0), codes.get(command.split()[0], 0))
+            codes[command] = int(left.value.code or 0)
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
@@ -111,6 +103,13 @@ def copied(clean: Path, tmp_path: Path) -> Path:
     root = tmp_path / "shared"
     shutil.copytree(clean, root)
     return root
+
+
+def test_every_command_is_called() -> None:
+    group = typer.main.get_command(app)
+    names = {f"benchmark {name}" for name in group.commands["benchmark"].commands} | {*group.commands} - {"benchmark"}
+    called = [command.split() for command in COMMANDS + LONG_COMMANDS]
+    assert {" ".join(words[: 2 if words[0] == "benchmark" else 1]) for words in called} == names
 
 
 @pytest.mark.parametrize("place", first_quick(LINKS, 2))
@@ -127,6 +126,28 @@ def test_the_canary_behind_a_link_never_changes(
     codes = call_every_command(root, monkeypatch)
     assert state_of(target) == before
     assert set(codes.values()) <= {0, 2, 3, 4}, codes
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strange", ["links", "pipes"])
+def test_so_it_is_for_the_commands_that_take_long(
+    clean: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, strange: str
+) -> None:
+    """All links, or pipes, at once, where they read a run folder and write."""
+    root = copied(clean, tmp_path)
+    target = root / "canary"
+    places = ("run/run.json", "run/telewide.onnx", "run/sheets", "run/kept", "run/pairs/000", "run/depth/000")
+    for place in (*places, "run/train/weights.safetensors", "run/train/training.json", "run/cells", "run/overall"):
+        named = target / Path(place).name
+        (root / place).parent.mkdir(parents=True, exist_ok=True)
+        if strange == "pipes":
+            os.mkfifo(root / place)
+        else:
+            (root / place).symlink_to(named if named.exists() else target)
+    before = state_of(target)
+    codes = call_every_command(root, monkeypatch, commands=LONG_COMMANDS)
+    assert state_of(target) == before
+    assert set(codes.values()) <= {0, 2, 3, 4, 5}, codes
 
 
 @pytest.mark.slow

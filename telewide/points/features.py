@@ -63,11 +63,15 @@ def sift_features(
     points, descriptor = sift.detectAndCompute(image_u8, None)
     if not len(points):
         return Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), dtype=np.float32))
+    # OpenCV keeps all that are as strong as the last: of a drawn pattern, tens of thousands.
+    response = np.array([point.response for point in points])
+    strongest = np.sort(np.argsort(-response, kind="stable")[:max_features])
+    kept = [points[at] for at in strongest]
     return Features(
-        np.array([point.pt for point in points], dtype=np.float64),
-        np.array([point.size for point in points], dtype=np.float64),
-        np.array([point.angle for point in points], dtype=np.float64),
-        np.asarray(descriptor, dtype=np.float32),
+        np.array([point.pt for point in kept], dtype=np.float64),
+        np.array([point.size for point in kept], dtype=np.float64),
+        np.array([point.angle for point in kept], dtype=np.float64),
+        np.asarray(descriptor, dtype=np.float32)[strongest],
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import nn
 
-from telewide.errors import TelewideError
+from telewide.errors import QualityError
 from telewide.restoration.crops import CropSource
 from telewide.restoration.restorers import RESTORERS
 
@@ -39,7 +39,7 @@ def train_restorer(
         The same network, in eval mode.
 
     Raises:
-        TelewideError: the loss is not finite; weights are as before the step.
+        QualityError: the loss is not finite; weights are as before the step.
     """
     restorer, device = RESTORERS[name], next(network.parameters()).device
     learned = [parameter for parameter in network.parameters() if parameter.requires_grad]
@@ -50,7 +50,7 @@ def train_restorer(
             optimiser.param_groups[0]["lr"] = restorer.learning_rate / 2
         loss = restorer.loss(network, source.batch(step, seed=seed).to(device))
         if not math.isfinite(float(loss.detach())):
-            raise TelewideError(f"the loss of {name} is not a number at step {step}", hint="check the pictures")
+            raise QualityError(f"the loss of {name} is not a number at step {step}", hint="check the pictures")
         optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         optimiser.step()

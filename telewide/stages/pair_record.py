@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import JsonValue
+from typing import Annotated
+
+from pydantic import Field, JsonValue
 
 from telewide.capture.facts import WideSide
 from telewide.correction.blur import BlurEstimate
@@ -10,6 +12,8 @@ from telewide.correction.verdict import PairReport
 from telewide.records import Figure, Record
 
 RECORD_NAME = "pair.json"
+MIN_SCALE, MAX_SCALE = 1 / 1024, 16.0
+"""The largest photo at the smallest working width is 1 / 512 of its size; no pair is much larger than its photo."""
 
 
 class ColourFigures(Record):
@@ -34,7 +38,7 @@ class PairRecord(Record):
     """
 
     key: dict[str, JsonValue]
-    scale: float
+    scale: Annotated[float, Field(ge=MIN_SCALE, le=MAX_SCALE)]
     wide_side: WideSide
     report: PairReport
     colour: ColourFigures

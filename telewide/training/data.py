@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
-from telewide.errors import UsageError
+from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import ValidMasks
 from telewide.training.objective import Batch
@@ -122,7 +122,11 @@ def step_batches(source: Source, stage: Stage, *, seed: int, rank: int, world: i
 
 
 def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Iterator[Batch]:
-    """Yield the batches from ``first_step`` to the end of the stage, prepared ahead by worker processes."""
+    """Yield the batches from ``first_step`` to the end of the stage, prepared ahead by worker processes.
+
+    Raises:
+        MissingPartError: the system ended one of them, as it does where memory runs out.
+    """
     loader = DataLoader(
         dataset,
         batch_size=None,
@@ -135,7 +139,15 @@ def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Itera
     )
     with _interrupts_held():  # which worker processes inherit: Ctrl-C is answered by this process alone
         batches = iter(loader)
-    yield from batches
+    try:
+        yield from batches
+    except (RuntimeError, ConnectionError, EOFError) as error:  # torch's own words, or a batch that was on its way
+        if isinstance(error, RuntimeError) and "DataLoader worker" not in str(error):
+            raise
+        raise MissingPartError(
+            "a process that prepares crops was ended by the system, which often means that memory ran out",
+            hint="close other programs, or make crops smaller (`set` train.crop_hw=[H,W]); the same command goes on",
+        ) from error
 
 
 @contextmanager

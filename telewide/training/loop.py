@@ -18,7 +18,7 @@ from types import FrameType
 import torch
 from torch import Tensor
 
-from telewide.errors import TelewideError, UsageError
+from telewide.errors import QualityError, UsageError
 from telewide.matching.inference import full_precision, low_precision
 from telewide.matching.networks import StereoNetwork, prepare_view
 from telewide.matching.window import VOLUME_STEP_PX, Window
@@ -105,7 +105,7 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
     Raises:
         KeyboardInterrupt: asked to stop; the state has been saved.
         UsageError: more processes than crops in a step.
-        TelewideError: the loss is not finite; the last good checkpoint is kept.
+        QualityError: the loss is not finite; the last good checkpoint is kept.
     """
     plan = plan_stages(training.options)
     _check_processes(plan, training.processes)
@@ -201,7 +201,7 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
         The parts of the loss.
 
     Raises:
-        TelewideError: the loss or its gradient is not finite; weights are as before the step.
+        QualityError: the loss or its gradient is not finite; weights are as before the step.
     """
     for group in state.optimiser.param_groups:
         group["lr"] = learning_rate(stage, step=state.step)
@@ -244,8 +244,8 @@ def _precision(window: Window, device: torch.device) -> AbstractContextManager[o
     return full_precision() if is_narrow and device.type == "cpu" else low_precision(device)
 
 
-def _diverged(what: str, stage: Stage, state: TrainingState) -> TelewideError:
-    return TelewideError(
+def _diverged(what: str, stage: Stage, state: TrainingState) -> QualityError:
+    return QualityError(
         f"the {what} of stage {stage.name} is not a number at step {state.step}; the last good checkpoint is kept",
         hint=f"lower the learning rate: `set` train.{_section(stage)}.learning_rate=...",
     )

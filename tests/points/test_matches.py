@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from telewide.benchmark.datasets.middlebury import read_middlebury_2006
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatImage
+from telewide.points.features import sift_features
 from telewide.points.matches import Matches, consistent_matches, find_matches, split_matches
 from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import RenderedPair
@@ -130,3 +131,12 @@ def test_a_phone_pair_has_hundreds_of_matches(data_root: Path, name: str) -> Non
     assert np.percentile(matches.disparity_px, 1) > 15
     assert np.percentile(matches.disparity_px, 99) < 40
     assert -1.7 < np.median(matches.vertical_px) < 0.6
+
+
+def test_a_drawn_pattern_has_no_more_points_than_are_asked_for() -> None:
+    """Each corner of its squares is as strong as each."""
+    y, x = np.mgrid[:240, :320]
+    squares = (255 * ((x // 7 + y // 7) % 2)).astype(np.uint8)
+    assert len(sift_features(squares, max_features=10_000, contrast_threshold=0.01)) > 800
+    found = sift_features(squares, max_features=100, contrast_threshold=0.01)
+    assert found.descriptor.shape == (100, 128)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from telewide.errors import InputError, TelewideError
+from telewide.errors import InputError, QualityError
 from telewide.restoration.crops import CropSource, shrink
 from telewide.restoration.dan import Dan
 from telewide.restoration.kernels import (
@@ -110,6 +110,6 @@ def test_a_loss_that_is_no_number_stops_before_it_harms() -> None:
     network = tiny("rcan")
     source = CropSource([np.full((64, 64, 3), np.nan, np.float32)], factor=2, kernels=None, small_px=12, count=1)
     kept = {name: value.clone() for name, value in network.state_dict().items()}
-    with pytest.raises(TelewideError, match="step 0"):
+    with pytest.raises(QualityError, match="step 0"):
         train_restorer(network, source, name="rcan", steps=2)
     assert all(torch.equal(value, kept[name]) for name, value in network.state_dict().items())

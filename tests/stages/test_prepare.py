@@ -266,6 +266,7 @@ def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: P
         ("pair.json", '"verdict": ', '"verdict": [], "v": '),
         ("pair.json", '"colour_ratio": [', '"colour_ratio": [[], '),
         ("pair.json", '"scale": ', '"scale": [], "s": '),
+        ("pair.json", '"scale": ', '"scale": 1e-300, "s": '),
         ("pair.json", '"disparity_p98_px": ', '"disparity_p98_px": 1e300, "disparity_p02_px": '),
         ("matches.npz", "", "garbage"),
         ("tele.png", "", "garbage"),

@@ -56,6 +56,16 @@ def list_of_longs(path: Path) -> None:
     path.write_bytes(data)
 
 
+def list_without_end(path: Path) -> None:
+    list_of_longs(path)
+    with tifffile.TiffFile(path) as tiff:
+        offset = tiff.pages.first.tags[51022].offset
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, offset + 4, 250_000_000)
+    path.write_bytes(data)
+    os.truncate(path, 1 << 30)
+
+
 def grey_of_26000(path: Path) -> None:
     tifffile.imwrite(path, np.zeros((8, 8), np.uint16), compression="zlib")
     overwrite_tag(path, 256, 26_000)
@@ -175,6 +185,11 @@ TRIED = (
         "DNG whose OpcodeList3 is of type LONG", one(tele("tele.dng", list_of_longs)), 0, "OpcodeList3 cannot be read"
     ),
     Tried("TIFF with 3000 tags of 2 MB each, all in one place", one(tele("tele.tif", tags_in_one_place)), 0),
+    Tried(
+        "DNG with an OpcodeList3 of 250 million numbers",
+        one(tele("tele.dng", list_without_end)),
+        0,
+    ),
     Tried(
         "TIFF whose strips lie in 250 million places", one(tele("tele.tif", strips_without_end)), 0, "tag 273 states"
     ),

@@ -27,6 +27,12 @@ def link(place: str, target: str = "canary") -> Plant:
     return plant
 
 
+def hidden_run_elsewhere(root: Path) -> None:
+    """Where no run folder is, depth keeps its pairs in a hidden one."""
+    shutil.rmtree(root / "run")
+    link("out/.telewide")(root)
+
+
 def pipe(place: str) -> Plant:
     def plant(root: Path) -> None:
         path = root / place
@@ -49,10 +55,21 @@ TRIED = (
         3,
         REFUSED,
     ),
+    Tried(
+        "run3/train is a link, train --recipe box --fresh",
+        one(link("run3/train"), "train --recipe box --fresh --quiet --out run3"),
+        3,
+        REFUSED,
+    ),
     Tried("run/pairs/000 is a link", one(link("run/pairs/000")), 0, REFUSED),
     Tried("run/depth/000 is a link", one(link("run/depth/000"), f"{DEPTH} --bokeh"), 0, REFUSED),
     Tried("run is a link that nobody named", one(link("run")), 2, "run is a link to"),
-    Tried("out/.telewide is a link, depth --out out", one(link("out/.telewide"), f"{DEPTH} --run other --out out"), 0),
+    Tried(
+        "out/.telewide is a link, depth --out out",
+        one(hidden_run_elsewhere, f"{DEPTH} --out out"),
+        3,
+        REFUSED,
+    ),
     Tried("captures/.000.partial is a link, import", one(link("captures/.2024-05-06_07-08-00.partial"), IMPORT), 0),
     Tried(
         "train/log.jsonl is a link to nowhere",

@@ -95,6 +95,19 @@ def without_numbers(content: dict[str, dict[str, torch.Tensor]]) -> None:
     content["network"] = {name: value * float("nan") for name, value in content["network"].items()}
 
 
+def with_lost_moments(content: dict[str, dict[str, dict[int, dict[str, torch.Tensor]]]]) -> None:
+    for moments in content["optimiser"]["state"].values():
+        moments["exp_avg"] = moments["exp_avg"] * float("nan")
+
+
+def doubled(levels: int) -> object:
+    """A tuple of two tuples of two tuples: small in memory and in a file, endless for who walks through it."""
+    content: object = (1.0,)
+    for _ in range(levels):
+        content = (content, content)
+    return content
+
+
 def last_line(text: str) -> Plant:
     def plant(root: Path) -> None:
         with (root / LOG).open("a") as log:
@@ -243,7 +256,24 @@ OF_WEIGHTS = (
         3,
         NO_STATE,
     ),
-    Tried("state.pt whose weights are no numbers", one(state(without_numbers), TRAIN), 3, NO_STATE),
+    Tried(
+        "state.pt whose weights, or moments, are no numbers",
+        each({"weights": state(without_numbers), "moments": state(with_lost_moments)}, TRAIN),
+        3,
+        NO_STATE,
+    ),
+    Tried(
+        "state.pt in which a tuple of 300 bytes names itself 2^40 times, or holds a million others",
+        each(
+            {
+                "2^40": state(lambda content: content.update(judgements=doubled(40))),
+                "a million": state(lambda content: content.update(judgements=((),) * 1_000_000)),
+            },
+            TRAIN,
+        ),
+        3,
+        NO_STATE,
+    ),
 )
 OF_RECORDS = (
     Tried("100 000 brackets in pair.json, depth.json, run.json and log.jsonl", each(texts("[" * 100_000)), 0),

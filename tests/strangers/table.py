@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from strangers import photos, places, records
+from strangers import further, photos, places, records
 from strangers.inputs import Tried, Variant
 from strangers.world import state_of
 
-TRIED: tuple[Tried, ...] = (*places.TRIED, *photos.TRIED, *records.TRIED)
+TRIED: tuple[Tried, ...] = (*places.TRIED, *photos.TRIED, *records.TRIED, *further.TRIED)
 MOST_SECONDS, MOST_MB = 20, 2048
 _TOLD = re.compile(r"^(error|skipped|note|left out)")
 _OBEYED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")

@@ -13,7 +13,7 @@ import pytest
 import torch
 from training.small import CPU, CROP_HW, Heard, ScriptedJudge, stage_of, three_stages, training_in
 
-from telewide.errors import TelewideError, UsageError
+from telewide.errors import QualityError, UsageError
 from telewide.matching.inference import full_precision
 from telewide.matching.networks import NETWORKS, StereoNetwork, build_network
 from telewide.training import loop
@@ -148,7 +148,7 @@ def test_a_loss_that_is_no_number_stops_before_the_weights(tmp_path: Path, sourc
     take_step(state, good, stage, training=training)
     save_state(state, tmp_path / STATE_NAME)
     poisoned = Batch(good.ref_BCHW * torch.nan, good.src_BCHW, good.truth_px_BHW, good.n_rehearsed)
-    with pytest.raises(TelewideError, match="not a number") as raised:
+    with pytest.raises(QualityError, match="not a number") as raised:
         take_step(state, poisoned, stage, training=training)
     assert "train.rehearsal.learning_rate" in str(raised.value.hint)
     kept = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
@@ -175,7 +175,7 @@ def test_a_gradient_that_is_no_number_stops_before_the_weights(
     state = new_state("rooted", seed=1, device=CPU)
     stage = stage_of(steps=3, rehearsed=1)
     before = {name: tensor.clone() for name, tensor in state.network.state_dict().items()}
-    with pytest.raises(TelewideError, match="gradient"):
+    with pytest.raises(QualityError, match="gradient"):
         take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training_in(tmp_path, source))
     assert all(torch.equal(before[name], tensor) for name, tensor in state.network.state_dict().items())
 
@@ -186,7 +186,7 @@ def test_a_training_that_diverges_keeps_the_last_good_checkpoint(
     monkeypatch.setattr(loop, "CHECKPOINT_EVERY_S", 0.0)
     monkeypatch.setattr(loop, "WARM_UP_STEPS", 1)
     options = short(rehearsal={"steps": 9, "rehearsed": 1, "learning_rate": 1e25}, stages=0, judge_every_steps=100)
-    with pytest.raises(TelewideError, match="last good checkpoint is kept"):
+    with pytest.raises(QualityError, match="last good checkpoint is kept"):
         train(training_in(tmp_path, source, options=options), fresh(), reporter=Heard())
     state = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
     assert all(bool(parameter.isfinite().all()) for parameter in state.network.parameters())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from training.small import CROP_HW, WINDOW, rendered, source_of, stage_of
 from telewide.capture.images import write_image
 from telewide.capture.pair import Capture
 from telewide.capture.pfm import write_pfm
+from telewide.errors import MissingPartError
 from telewide.simulate.raycast import patterns
 from telewide.training import world_samples
 from telewide.training.data import StepBatches, iterate_batches
@@ -104,6 +106,17 @@ def test_worker_processes_make_the_same_batches(source: SampleSource, monkeypatc
     made = list(iterate_batches(batches, first_step=2, workers=2))
     assert len(made) == 4
     assert all(is_equal(batch, batches[step]) for step, batch in enumerate(made, start=2))
+
+
+@pytest.mark.slow
+def test_a_worker_process_that_the_system_ends_is_told(source: SampleSource) -> None:
+    """As it does where memory runs out."""
+    batches = iterate_batches(StepBatches(source, stage_of(steps=500, captured=1), seed=1), first_step=0, workers=1)
+    next(batches)
+    (worker,) = multiprocessing.active_children()
+    worker.kill()
+    with pytest.raises(MissingPartError, match="ended by the system"):
+        list(batches)
 
 
 def test_batches_go_on_where_they_were_left(source: SampleSource) -> None:
