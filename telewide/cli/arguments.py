@@ -38,7 +38,7 @@ FormatOption = Annotated[
     typer.Option(
         "--format",
         metavar="NAME,...",
-        help="Depth files: pfm, png, npz, mm, tiff, grey, gdepth, dynamic, ply, glb, exr or all. "
+        help="Depth files: pfm, png, npz, mm, tiff, grey, gdepth, dynamic, ply, glb, exr, heic or all. "
         "[default: pfm,png,npz]",
     ),
 ]

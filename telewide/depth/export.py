@@ -18,6 +18,7 @@ from telewide.depth.formats.dynamic_depth_file import DYNAMIC_DEPTH_NAME, write_
 from telewide.depth.formats.exr_file import EXR_NAME, write_exr
 from telewide.depth.formats.gdepth_file import GDEPTH_NAME, write_gdepth
 from telewide.depth.formats.grey_files import GREY16_NAME, GREY_NAME, PHOTO_NAME, write_grey
+from telewide.depth.formats.heif_file import HEIC_NAME, write_heic
 from telewide.depth.formats.numpy_archive import NPZ_NAME, write_npz
 from telewide.depth.formats.pfm_file import PFM_NAME, write_pfm_file
 from telewide.depth.formats.png_files import MM_NAME, PNG_NAME, write_depth_png, write_disparity_png
@@ -67,6 +68,7 @@ FORMATS = {
     "ply": DepthFormat(write_ply, (PLY_NAME,), module="trimesh", extra="mesh"),
     "glb": DepthFormat(write_glb, (GLB_NAME,), module="trimesh", extra="mesh"),
     "exr": DepthFormat(write_exr, (EXR_NAME,), module="OpenEXR", extra="exr"),
+    "heic": DepthFormat(write_heic, (HEIC_NAME,), module="pillow_heif", extra="heif"),
 }
 DEFAULT_FORMATS = ("pfm", "png", "npz")
 ALWAYS = "npz"
