@@ -8,7 +8,8 @@ MINIMA := .venv-minima
 MINIMA_TESTS := test_records test_options test_npz test_files geometry/test_rig geometry/test_resample capture/test_exif \
 	capture/test_images capture/test_raw boards/test_detection calibration/test_bundle calibration/test_rig_file \
 	correction/test_colour depth/test_export depth/test_preview pages/test_report cli/test_board cli/test_terminal \
-	matching/test_volume matching/test_lite training/test_checkpoint
+	matching/test_volume matching/test_lite training/test_checkpoint \
+	capture/test_heif depth/formats/test_plain_files depth/formats/test_space_files
 # make bench RUNS="run other/run" measures their networks too. Three of its five tables need data sets, which you fetch:
 #   $(DATA)/middlebury_2006_third/<scene>/{view1,view5,disp1,disp5}.png   vision.middlebury.edu/stereo/data/scenes2006,
 #                                                                      the 21 scenes of a third of the size
@@ -47,7 +48,7 @@ test-minima: $(MINIMA)/.installed
 $(MINIMA)/.installed: pyproject.toml constraints.txt .ci/minima
 	test -x $(MINIMA)/bin/python || $(PYTHON) -m venv $(MINIMA)
 	$(PYTHON) .ci/minima > $(MINIMA)/minima.txt
-	$(MINIMA)/bin/python -m pip install --quiet --constraint $(MINIMA)/minima.txt --editable '.[dev]'
+	$(MINIMA)/bin/python -m pip install --quiet --constraint $(MINIMA)/minima.txt --editable '.[dev,exr,heif,mesh]'
 	touch $@
 
 # Bugs planted one at a time: do the tests catch them? make mutants BUGS="training bokeh" plants some lists only.
