@@ -329,7 +329,7 @@ def _write_error(path: Path, error: OSError) -> TelewideError:
     reason = error.strerror or str(error)
     if error.errno in _FULL:
         return MissingPartError(
-            f"{path} was not written: {reason}; an older file of that name is unchanged",
+            f"{path} was not written: {reason}; an older file of that name, if there is one, is unchanged",
             hint="free some space, or name a folder on another disk, and run the command again",
         )
     return UsageError(f"{path} cannot be written: {reason}", hint="name a folder that can be written to")
