@@ -38,13 +38,28 @@ def with_highlights(light: FloatImage, image_srgb: FloatImage, *, times: float) 
         raise UsageError(f"highlights {times}: a factor from 1 to {MAX_TIMES:g} was expected")
     if times == 1:
         return light
+    share = light_share(image_srgb)
+    at = np.nonzero(share)
+    light[at] *= (1 + (np.float32(times) - 1) * share[at])[:, None]
+    return light
+
+
+def light_share(image_srgb: FloatImage) -> FloatMap:
+    """Tell what is a small clipped light.
+
+    Args:
+        image_srgb: (H, W, 3) float32, the photo; values above 1 are not clipped.
+
+    Returns:
+        (H, W) float32: 1 in such lights, 0 elsewhere, between where clipping or smallness is in doubt.
+    """
     brightest = image_srgb.max(axis=2)
     clipped = (brightest >= CLIPPED_SRGB) & (brightest <= 1)
+    share = np.zeros(clipped.shape, np.float32)
     if clipped.any():
         at = np.nonzero(clipped)
-        share = np.minimum((brightest[at] - CLIPPED_SRGB) / (1 - CLIPPED_SRGB), 1) * _smallness(clipped)[at]
-        light[at] *= (1 + (np.float32(times) - 1) * share)[:, None]
-    return light
+        share[at] = np.minimum((brightest[at] - CLIPPED_SRGB) / (1 - CLIPPED_SRGB), 1) * _smallness(clipped)[at]
+    return share
 
 
 def _smallness(clipped: BoolMap) -> FloatMap:

@@ -14,6 +14,7 @@ import numpy as np
 
 from telewide.bokeh.focus import find_focus
 from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
+from telewide.bokeh.highlights import light_share
 from telewide.bokeh.picture import DEFAULT_STRENGTH_SHARE
 from telewide.bokeh.render import LARGEST_RADIUS_SHARE, largest_step_px
 from telewide.depth.preview import disparity_panel
@@ -73,7 +74,9 @@ def viewed_capture(
     pictures = {"tele": small, **{label: _scaled(other, wh=wh) for label, other in others.items()}}
     pictures["disparity"] = disparity_panel(result, wh=wh)
     maps_png = {
-        "levels": _png(np.dstack([levels.level, levels.hidden_level, np.zeros_like(levels.level)])),
+        "levels": _png(
+            np.dstack([levels.level, levels.hidden_level, np.round(255 * light_share(small)).astype(np.uint8)])
+        ),
         "map": _png(_packed(maps, low_px, high_px)),
     }
     strongest = max(small.shape[:2]) * DEFAULT_STRENGTH_SHARE / max(span_px, 1e-6)

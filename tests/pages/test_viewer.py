@@ -86,9 +86,9 @@ def place_of(disparity_px: FloatMap, value_px: float) -> tuple[int, int]:
     return int(x), int(y)
 
 
-@pytest.mark.parametrize("stop", [5, 0])
-def test_pixels_are_those_of_the_python_renderer(tmp_path: Path, stop: int) -> None:
-    """f/1.8 and f/1, focused near and far, with and without blades."""
+@pytest.mark.parametrize(("stop", "lights"), [(5, 2), (0, 0)])
+def test_pixels_are_those_of_the_python_renderer(tmp_path: Path, stop: int, lights: int) -> None:
+    """f/1.8 and f/1, focused near and far, with and without blades and recovered lights."""
     path, told = page_of(tmp_path, metric=METRIC)
     sharp = _decoded(told["pictures"]["tele"])  # type: ignore[index]
     _, disparity_px = world()
@@ -97,6 +97,7 @@ def test_pixels_are_those_of_the_python_renderer(tmp_path: Path, stop: int) -> N
     with page_in_browser(path) as page:
         page.wait_for_selector(DONE, timeout=120_000)
         turn(page, "stop", stop)
+        turn(page, "lights", lights)
         for focus_px, blades in ((disparity_px.max(), None), (disparity_px.min(), None), (disparity_px.min(), 6)):
             turn(page, "blades", blades or 4)
             x, y = place_of(disparity_px, focus_px)
@@ -108,7 +109,9 @@ def test_pixels_are_those_of_the_python_renderer(tmp_path: Path, stop: int) -> N
                 focus_disparity_px=float(disparity_px[y, x]),
                 radius_per_px=per_px,
                 aperture=aperture,
+                highlights=2**lights,
             )
+            expected = np.clip(expected, 0, 1)
             found.append((psnr(pixels(page), expected), psnr(sharp, expected)))
     assert min(same for same, _ in found) >= 35, found
     assert min(same - blurred for same, blurred in found) > 6, found  # there was something to blur

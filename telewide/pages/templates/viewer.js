@@ -14,7 +14,7 @@ void main() { gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) *
 const LENS = `#version 300 es
 precision highp float; precision highp sampler2D;
 uniform sampler2D photo, hidden, levels, span, former;
-uniform ivec2 size; uniform int cell; uniform vec2 ends, sharp; uniform float count, scale, cap, weight;
+uniform ivec2 size; uniform int cell; uniform vec2 ends, sharp; uniform float count, scale, cap, weight, lights;
 uniform int points; uniform vec2 point[32];
 out vec4 colour;
 float radiusOf(int level) {
@@ -22,13 +22,17 @@ float radiusOf(int level) {
   return clamp((d - clamp(d, sharp.x, sharp.y)) * scale, -cap, cap);
 }
 ivec2 mirrored(ivec2 at) { at = abs(at); return size - 1 - abs(size - 1 - at); }
+vec3 shown(ivec2 at) { // alpha tells small clipped lights, which were brighter than white
+  vec4 own = texelFetch(photo, at, 0);
+  return own.rgb * (1.0 + (lights - 1.0) * own.a);
+}
 vec3 seen(ivec2 here, vec2 from, ivec2 between) {
-  vec3 last = texelFetch(photo, here, 0).rgb;
+  vec3 last = shown(here);
   for (int level = between.y; level >= between.x; level--) {
     ivec2 at = mirrored(ivec2(floor(vec2(here) + 0.5 - radiusOf(level) * from)));
     ivec4 there = ivec4(texelFetch(levels, at, 0) * 255.0 + 0.5);
     if (level <= there.r) {
-      if (level >= there.b) return texelFetch(photo, at, 0).rgb;
+      if (level >= there.b) return shown(at);
       if (there.g < there.b && level <= there.g) {
         vec3 behind = texelFetch(hidden, at, 0).rgb;
         if (level >= there.a) return behind;
@@ -163,6 +167,7 @@ async function open(index) {
   const own = lowest(levels, 0, wh, told.jump), behind = lowest(levels, 1, wh, told.jump);
   for (let k = 0; k < own.length; k++) {
     both[4 * k] = levels[4 * k]; both[4 * k + 1] = levels[4 * k + 1]; both[4 * k + 2] = own[k]; both[4 * k + 3] = behind[k];
+    photo[4 * k + 3] = levels[4 * k + 2];
   }
   const span = spans(levels, wh, cell, told.capPx * 1.3), srgb = [gl.SRGB8_ALPHA8, wh, gl.RGBA, gl.UNSIGNED_BYTE];
   scene = { told, index, map, cell, frame: gl.createFramebuffer(),
@@ -248,6 +253,8 @@ function aperture() {
   state.scale = metric ? 0.05 / number / (2 * metric[2]) : scene.told.radiusPerPx * 1.8 / number;
   byId("stop").setAttribute("aria-valuetext", `f/${number.toFixed(1)}`);
   byId("number").textContent = `f/${number.toFixed(1)}`;
+  state.lights = Math.pow(2, Number(byId("lights").value));
+  byId("lightsWord").textContent = `× ${state.lights}`;
   byId("bladesWord").textContent = blades < 5 ? "round" : String(blades);
   state.points = lensPoints(blades < 5 ? 0 : blades, TOTAL);
   redraw();
@@ -292,6 +299,7 @@ function frame(now) {
   const widest = Math.max(...told.levelEnds.map((end) => Math.abs(end - state.focus)), 1e-6);
   gl.uniform1f(place(lens, "scale"), looks ? 0.02 * Math.max(...wh) / widest : state.scale);
   gl.uniform1f(place(lens, "cap"), told.capPx);
+  gl.uniform1f(place(lens, "lights"), looks ? 1 : state.lights);
   gl.uniform1f(place(lens, "weight"), some.length / (state.done + some.length));
   gl.uniform1i(place(lens, "points"), some.length);
   gl.uniform2fv(place(lens, "point"), some.flat());
@@ -353,7 +361,7 @@ canvas.addEventListener("keydown", (event) => {
 });
 canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { const { index } = scene; scene = null; if (start()) open(index); });
-for (const id of ["stop", "blades"]) byId(id).addEventListener("input", aperture);
+for (const id of ["stop", "blades", "lights"]) byId(id).addEventListener("input", aperture);
 byId("edges").addEventListener("change", redraw);
 
 function compare() {
