@@ -62,8 +62,7 @@ def viewed_capture(
     Raises:
         InputError: no disparity is known.
     """
-    wh = fitted_wh((photo.shape[1], photo.shape[0]), box_wh=(LONGEST_PX, LONGEST_PX))
-    wh = wh if wh[0] < photo.shape[1] else (photo.shape[1], photo.shape[0])
+    wh = _shown_wh((photo.shape[1], photo.shape[0]))
     small, maps = _scaled(photo, wh=wh), _resized(disparity, wh=wh)
     levels = sort_by_level(small, maps.disparity_px)
     known = np.isfinite(maps.disparity_px)
@@ -98,6 +97,11 @@ def viewed_capture(
         "capPx": LARGEST_RADIUS_SHARE * min(small.shape[:2]),
         "metric": None if metric is None else [metric.scale_px_m, metric.doffs_px, metric.baseline_m, FARTHEST_M],
     }
+
+
+def _shown_wh(wh: tuple[int, int]) -> tuple[int, int]:
+    fitted = fitted_wh(wh, box_wh=(LONGEST_PX, LONGEST_PX))
+    return fitted if fitted[0] < wh[0] else wh
 
 
 def _scaled(picture: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
