@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.cores import usable_cores
+from telewide.depth.slopes import steepened, with_smooth_outlines
 from telewide.depth.votes import agreeing_share, tiles_of, voters_of, votes_around, weighted_median
 from telewide.errors import InputError
 from telewide.geometry.arrays import BoolMap, FloatMap, IntArray
@@ -100,16 +101,19 @@ def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: Flo
     trust = np.clip(confidence, 0.05, 1) * np.where(valid, np.float32(1), np.float32(FILLED_WEIGHT))
     scale = max(1, round(disparity_px.shape[1] / FULL_SCALE_WIDTH_PX))
     if scale == 1:
-        return _followed(filled_px, guide_rgb, trust)
+        followed_px = _followed(steepened(filled_px), guide_rgb, trust)
+        return with_smooth_outlines(followed_px, jump_px=JUMP_PX)
     wh = -(-disparity_px.shape[1] // scale), -(-disparity_px.shape[0] // scale)
     small_trust, small_px = (
         cv2.resize(plane, wh, interpolation=cv2.INTER_NEAREST_EXACT) for plane in (trust, filled_px)
     )
     small_guide = np.asarray(cv2.resize(guide_rgb, wh, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    small_px = _followed(np.asarray(small_px, dtype=np.float32), small_guide, np.asarray(small_trust, dtype=np.float32))
+    small_px = steepened(np.asarray(small_px, dtype=np.float32))
+    small_px = _followed(small_px, small_guide, np.asarray(small_trust, dtype=np.float32))
     lies_at_edge = _near_edge(small_px, margin_px=0)
     weight = np.asarray(small_trust * np.where(lies_at_edge, EDGE_WEIGHT, 1), dtype=np.float32)
-    return _at_own_size(filled_px, guide_rgb, small_px=small_px, small_guide=small_guide, weight=weight)
+    followed_px = _at_own_size(filled_px, guide_rgb, small_px=small_px, small_guide=small_guide, weight=weight)
+    return with_smooth_outlines(followed_px, jump_px=JUMP_PX)
 
 
 def _followed(disparity_px: FloatMap, guide_rgb: FloatMap, trust: FloatMap) -> FloatMap:
