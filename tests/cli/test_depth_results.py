@@ -94,3 +94,21 @@ def test_files_that_are_asked_for_by_name(tmp_path: Path, rng: np.random.Generat
     made = {path.name for path in (tmp_path / "run" / "depth" / "one").iterdir()}
     grey = {"photo.jpg", "photo_depth.png", "photo_depth_16.png"}
     assert made == {"depth.npz", "depth_mm.png", "depth.tif", "preview.png", "depth.json"} | grey
+
+
+def test_run_without_a_network_trains_nothing(tmp_path: Path, rng: np.random.Generator) -> None:
+    rig, one = phone_rig(width_px=320), tmp_path / "captures" / "one"
+    for view, photo in zip(("tele", "wide"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(one / f"{view}.png", photo)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    write_stored_rig(tmp_path / "captures" / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+    words = ("run", str(tmp_path / "captures"), "--out", str(tmp_path / "run"), "--method", "sgm")
+    codes = []
+    for more in ((), ("--device", "cuda")):
+        with pytest.raises(SystemExit) as left:
+            main((*words, *more))
+        codes.append(left.value.code or 0)
+    assert codes == [0, 2]
+    assert not (tmp_path / "run" / "train" / "weights.safetensors").exists()
+    assert (tmp_path / "run" / "depth" / "one" / "bokeh.jpg").is_file()
+    assert 'data-scene="one"' in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from bokeh.layered_world import reference_world
 from pages.browser import page_in_browser
+from pages.made_calibration import made_calibration
+from pages.test_board_rig import page_of as rig_page_of
 from PIL import Image
 
 from telewide.bokeh.aperture import Aperture
@@ -219,3 +221,22 @@ def test_without_scripts_the_pictures_are_there(tmp_path: Path) -> None:
     with page_in_browser(path, java_script_enabled=False) as page:
         assert page.locator(".static img").first.is_visible()
         assert not page.locator("#viewer").is_visible()
+
+
+@pytest.mark.parametrize("width_px", [390, 1280])
+def test_the_rig_report_is_not_cut_off_either(tmp_path: Path, width_px: int) -> None:
+    """Its column of advice stood outside of a phone's screen."""
+    rig_page_of(tmp_path / "rig.html", made_calibration())
+    with page_in_browser(tmp_path / "rig.html", wh=(width_px, 844)) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == width_px
+        advice = page.locator("td[data-label=advice]:not(:empty)").first
+        box = advice.bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width_px
+        assert page.evaluate("[...document.querySelectorAll('.scroll')].every((e) => e.scrollWidth <= e.clientWidth)")
+
+
+def test_printed_it_shows_the_pictures_and_no_controls(opened: Any) -> None:
+    opened.emulate_media(media="print")
+    assert opened.locator(".static img").first.is_visible()
+    assert not opened.locator("#viewer").is_visible()

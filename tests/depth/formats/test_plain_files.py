@@ -56,7 +56,7 @@ def test_a_depth_beyond_what_can_be_told_is_unknown_and_not_measured() -> None:
     np.testing.assert_array_equal(result.disparity.valid, np.isfinite(result.depth_m))
 
 
-def test_tiff_by_tifffile_and_pillow(tmp_path: Path) -> None:
+def test_tiff_by_tifffile_pillow_and_opencv(tmp_path: Path) -> None:
     write_depth(tmp_path, made_result(), formats=("tiff",))
     with tifffile.TiffFile(tmp_path / "depth.tif") as file:
         (page,) = file.pages
@@ -65,6 +65,8 @@ def test_tiff_by_tifffile_and_pillow(tmp_path: Path) -> None:
     assert (told["unit"], told["unknown"], told["baseline_m"]) == ("m", "NaN", BASELINE_M)
     with Image.open(tmp_path / "depth.tif") as by_pillow:
         np.testing.assert_array_equal(np.asarray(by_pillow), depth_m())
+    by_opencv = cv2.imread(str(tmp_path / "depth.tif"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(by_opencv, depth_m())
 
 
 def test_tiff_without_metres_holds_disparity_and_says_so(tmp_path: Path) -> None:
