@@ -70,6 +70,8 @@ FORMATS = {
     "exr": DepthFormat(write_exr, (EXR_NAME,), module="OpenEXR", extra="exr"),
     "heic": DepthFormat(write_heic, (HEIC_NAME,), module="pillow_heif", extra="heif"),
 }
+WITH_EXIF = frozenset({"grey", "gdepth", "dynamic"})
+"""Formats whose JPEG of the photo says when and with what it was taken."""
 DEFAULT_FORMATS = ("pfm", "png", "npz")
 ALWAYS = "npz"
 """What telewide reads again, and so always writes."""
@@ -107,7 +109,12 @@ def chosen_formats(words: Iterable[str]) -> tuple[str, ...]:
 
 
 def write_depth(
-    folder: Path, result: DepthResult, *, image: FloatMap | None = None, formats: Iterable[str] = DEFAULT_FORMATS
+    folder: Path,
+    result: DepthResult,
+    *,
+    image: FloatMap | None = None,
+    formats: Iterable[str] = DEFAULT_FORMATS,
+    exif: bytes = b"",
 ) -> WrittenDepth:
     """Write the depth of one capture upright, each file atomically.
 
@@ -117,13 +124,14 @@ def write_depth(
         image: (H, W, 3) the ref photo, RGB in [0, 1], turned as the result is, for the preview and for files that hold
             the photo; without it none of these is written.
         formats: names in `FORMATS`.
+        exif: for the JPEGs that hold the photo; empty for none.
 
     Returns:
         The paths and what to know about them.
     """
     folder.mkdir(parents=True, exist_ok=True)
     turned = None if image is None else upright(image, rotated_deg=result.rotated_deg)
-    contents = Contents(stood_upright(result), turned)
+    contents = Contents(stood_upright(result), turned, exif)
     paths: list[Path] = []
     notes: list[str] = []
     for name in formats:

@@ -9,7 +9,7 @@ import math
 import shutil
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from telewide.capture.photo_store import PhotoStore
 from telewide.capture.pictures import PictureFacts, write_picture
 from telewide.correction.moving import MovedRegion, moving_mask
 from telewide.depth.edges import follow_edges
-from telewide.depth.export import DEFAULT_FORMATS, file_names, write_depth
+from telewide.depth.export import DEFAULT_FORMATS, WITH_EXIF, file_names, write_depth
 from telewide.depth.formats.numpy_archive import NPZ_NAME
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
@@ -312,7 +312,7 @@ def _blurred(
     held_back = held_back_note(
         result.name, result.disparity.disparity_px, focus, options=bokeh, baseline_m=result.baseline_m
     )
-    software, done = f"telewide {metadata.version('telewide')}", note.removeprefix(f"{result.name}: ")
+    software, done = _software(), note.removeprefix(f"{result.name}: ")
     said = PictureFacts(software=software, done=done, of_photo=carried, is_stripped=bokeh.is_stripped)
     picture = _Picture(pixels, said, _bokeh_names(bokeh))
     return picture, tuple(told for told in (note, held_back) if told is not None), focused
@@ -327,15 +327,26 @@ def _put(
 ) -> KeptDepth:
     """Write all files of one capture, which appear together."""
     with fresh_folder(folder.parent) as new:
-        made = _write(new, computed, former=folder, formats=formats)
+        exif = _exif_without_place(source, computed.photo) if WITH_EXIF.intersection(formats) else b""
+        made = _write(new, computed, former=folder, formats=formats, exif=exif)
         write_kept(new, made, key=key, source=source)
         put_in_place(new, folder)
     return made
 
 
-def _write(folder: Path, computed: _Computed, *, former: Path, formats: tuple[str, ...]) -> KeptDepth:
+def _exif_without_place(source: Path, photo: FloatMap) -> bytes:
+    """EXIF for files that are made to be handed on: camera, exposure and date; no GPS."""
+    carried = replace(read_carried(source), gps={})
+    return carried.exif_bytes(wh=(photo.shape[1], photo.shape[0]), software=_software())
+
+
+def _software() -> str:
+    return f"telewide {metadata.version('telewide')}"
+
+
+def _write(folder: Path, computed: _Computed, *, former: Path, formats: tuple[str, ...], exif: bytes) -> KeptDepth:
     """Write all files of one capture into a folder; an earlier bokeh is kept where its depth is the same."""
-    written = write_depth(folder, computed.result, image=computed.photo, formats=formats)
+    written = write_depth(folder, computed.result, image=computed.photo, formats=formats, exif=exif)
     names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
     notes = (*notes, *computed.bokeh_notes)
     if computed.picture is not None:

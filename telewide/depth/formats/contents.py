@@ -39,10 +39,12 @@ class Contents:
     Attributes:
         result: its depth.
         image: (H, W, 3) float32, the tele photo, sRGB in [0, 1]; None where only the maps are at hand.
+        exif: of the photo in these files; empty for none.
     """
 
     result: DepthResult
     image: FloatMap | None = None
+    exif: bytes = b""
 
     def left_out(self, what: str, why: str) -> WrittenDepth:
         """Say that a file cannot be made of this capture."""

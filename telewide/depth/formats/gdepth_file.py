@@ -38,6 +38,8 @@ def write_gdepth(folder: Path, contents: Contents) -> WrittenDepth:
     large = {"GDepth:Data": grey_png16(depth.share), "GDepth:Confidence": grey_png16(depth.confidence)}
     with replacing(folder / GDEPTH_NAME) as temporary:
         temporary.write_bytes(
-            jpeg_with_xmp(photo_jpeg(contents.image), {"GDepth": _NAMESPACE}, properties, large=large)
+            jpeg_with_xmp(
+                photo_jpeg(contents.image, exif=contents.exif), {"GDepth": _NAMESPACE}, properties, large=large
+            )
         )
     return WrittenDepth((folder / GDEPTH_NAME,))

@@ -13,7 +13,9 @@ import numpy as np
 from telewide.capture.images import write_image, write_png16
 from telewide.depth.edges import fill_unknown
 from telewide.depth.formats.contents import Contents, WrittenDepth, levels
+from telewide.depth.formats.jpeg_xmp import photo_jpeg
 from telewide.depth.preview import display_range_px
+from telewide.files import replacing
 from telewide.geometry.arrays import FloatMap
 
 PHOTO_NAME, GREY_NAME, GREY16_NAME = "photo.jpg", "photo_depth.png", "photo_depth_16.png"
@@ -30,7 +32,8 @@ def write_grey(folder: Path, contents: Contents) -> WrittenDepth:
     write_png16(paths[1], levels(near, bits=16).astype(np.uint16))
     if contents.image is not None:
         paths.insert(0, folder / PHOTO_NAME)
-        write_image(paths[0], contents.image, quality=95)
+        with replacing(paths[0]) as temporary:
+            temporary.write_bytes(photo_jpeg(contents.image, exif=contents.exif))
     return WrittenDepth(tuple(paths))
 
 

@@ -23,6 +23,7 @@ _STANDARD = b"http://ns.adobe.com/xap/1.0/\0"
 _EXTENDED = b"http://ns.adobe.com/xmp/extension/\0"
 _MOST_SEGMENT_BYTES = 65533  # a segment states its length in two bytes, which count themselves
 _CHUNK_BYTES = 65400
+_QUALITY = 95
 _NOTE = "http://ns.adobe.com/xmp/note/"
 _WRAPPER = '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>{}<?xpacket end="w"?>'
 _META = (
@@ -92,11 +93,12 @@ def grey_jpeg(values: FloatMap) -> bytes:
     return stream.getvalue()
 
 
-def photo_jpeg(image: FloatMap, *, quality: int = 95) -> bytes:
-    """Encode a photo, sRGB in [0, 1], as a JPEG whose colours are not thinned out (4:4:4)."""
+def photo_jpeg(image: FloatMap, *, exif: bytes = b"") -> bytes:
+    """Encode a photo, sRGB in [0, 1], as a JPEG whose colours are not thinned out (4:4:4), with its EXIF."""
     stream = BytesIO()
     rgb = levels(np.nan_to_num(image), bits=8).astype(np.uint8)
-    Image.fromarray(rgb).save(stream, "JPEG", quality=quality, subsampling=0)
+    told = {"exif": exif} if exif else {}
+    Image.fromarray(rgb).save(stream, "JPEG", quality=_QUALITY, subsampling=0, **told)
     return stream.getvalue()
 
 
