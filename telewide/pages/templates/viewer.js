@@ -6,7 +6,7 @@ const scenes = [...document.querySelectorAll("script[data-scene]")];
 if (!root || !scenes.length) return;
 const byId = (id) => document.getElementById(id);
 const canvas = byId("picture");
-const TOTAL = 192, FIRST = 8; // lens points of a finished picture, and of its first frame
+const LEAST = 192, MOST = 960, FIRST = 8; // lens points of a finished picture, more of a large blur; of the first frame
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) * 2.0 - 1.0, 0, 1); }`;
 // Each lens point sees the levels shifted by their blur radius; the nearest that is there hides the others. Where a level
@@ -14,7 +14,7 @@ void main() { gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) *
 const LENS = `#version 300 es
 precision highp float; precision highp sampler2D;
 uniform sampler2D photo, hidden, levels, span, former;
-uniform ivec2 size; uniform int cell; uniform vec2 ends, sharp; uniform float count, scale, cap, weight, lights;
+uniform ivec2 size; uniform int cell; uniform vec2 ends, sharp; uniform float count, scale, cap, weight, lights, jitter; uniform int done;
 uniform int points; uniform vec2 point[32];
 out vec4 colour;
 float radiusOf(int level) {
@@ -42,11 +42,19 @@ vec3 seen(ivec2 here, vec2 from, ivec2 between) {
   }
   return last;
 }
+// Each pixel looks through points of its own beside the common ones, or a small light would show as many dots.
+vec2 beside(ivec2 here, int k) { // two numbers in [-0.5, 0.5]: PCG hash, Jarzynski and Olano 2020
+  uvec3 v = uvec3(here, k) * 1664525u + 1013904223u;
+  v.x += v.y * v.z; v.y += v.z * v.x; v.z += v.x * v.y;
+  v ^= v >> 16u;
+  v.x += v.y * v.z; v.y += v.z * v.x;
+  return vec2(v.xy >> 8u) / 16777216.0 - 0.5;
+}
 void main() {
   ivec2 here = ivec2(gl_FragCoord.xy);
   ivec2 between = ivec2(texelFetch(span, here / cell, 0).rg * 255.0 + 0.5);
   vec3 sum = vec3(0);
-  for (int k = 0; k < points; k++) sum += seen(here, point[k], between);
+  for (int k = 0; k < points; k++) sum += seen(here, point[k] + jitter * beside(here, done + k), between);
   colour = vec4(mix(texelFetch(former, here, 0).rgb, sum / float(points), weight), 1);
 }`;
 const SHOW = `#version 300 es
@@ -256,12 +264,19 @@ function aperture() {
   state.lights = Math.pow(2, Number(byId("lights").value));
   byId("lightsWord").textContent = `× ${state.lights}`;
   byId("bladesWord").textContent = blades < 5 ? "round" : String(blades);
-  state.points = lensPoints(blades < 5 ? 0 : blades, TOTAL);
+  state.blades = blades < 5 ? 0 : blades;
   redraw();
+}
+
+function largestRadius() {
+  const away = Math.max(...scene.told.levelEnds.map((end) => Math.max(state.sharp[0] - end, end - state.sharp[1])), 0);
+  return Math.min(away * state.scale, scene.told.capPx);
 }
 
 function redraw() {
   state.done = 0;
+  const total = Math.min(MOST, Math.max(LEAST, Math.ceil(0.6 * largestRadius() ** 2)));
+  state.points = lensPoints(state.blades, total);
   canvas.dataset.done = "0";
   canvas.dataset.drawing = String(Number(canvas.dataset.drawing || 0) + 1);
   if (!waiting) waiting = requestAnimationFrame(frame);
@@ -287,7 +302,7 @@ function frame(now) {
   if (state.done && before && now > before) // as many points as keep a frame below a fifteenth of a second
     share = Math.min(32, Math.max(2, Math.round(share * (now - before > 66 ? 0.6 : now - before < 30 ? 1.5 : 1))));
   before = now;
-  const total = looks ? 1 : TOTAL, some = looks ? [state.from || [0, 0]] : state.points.slice(state.done, state.done + share);
+  const total = looks ? 1 : state.points.length, some = looks ? [state.from || [0, 0]] : state.points.slice(state.done, state.done + share);
   const lens = programs.lens;
   pass(lens, scene.next, wh, { photo: scene.photo, hidden: scene.hidden, levels: scene.levels, span: scene.span, former: scene.former });
   gl.uniform2i(place(lens, "size"), wh[0], wh[1]);
@@ -301,6 +316,8 @@ function frame(now) {
   gl.uniform1f(place(lens, "cap"), told.capPx);
   gl.uniform1f(place(lens, "lights"), looks ? 1 : state.lights);
   gl.uniform1f(place(lens, "weight"), some.length / (state.done + some.length));
+  gl.uniform1f(place(lens, "jitter"), looks ? 0 : 1.7 / Math.sqrt(total));
+  gl.uniform1i(place(lens, "done"), state.done);
   gl.uniform1i(place(lens, "points"), some.length);
   gl.uniform2fv(place(lens, "point"), some.flat());
   gl.drawArrays(gl.TRIANGLES, 0, 3);
