@@ -87,11 +87,17 @@ def _metric_of(npz: Path) -> Metric | None:
 
 
 def _corrected_pictures(folder: Path, *, rotated_deg: int) -> dict[str, FloatImage]:
-    return {
-        f"{view}, corrected": upright(read_image(folder / f"{view}.png"), rotated_deg=rotated_deg)
-        for view in ("tele", "wide")
-        if is_file(folder / f"{view}.png")
-    }
+    """The corrected views, grey where their photos do not reach."""
+    pictures = {}
+    for view in ("tele", "wide"):
+        if not is_file(folder / f"{view}.png"):
+            continue
+        picture = read_image(folder / f"{view}.png")
+        valid = folder / f"{view}_valid.png"
+        if is_file(valid) and (mask := read_image(valid)).shape == picture.shape:
+            picture = np.where(mask > 0.5, picture, np.float32(0.5))
+        pictures[f"{view}, corrected"] = upright(picture, rotated_deg=rotated_deg)
+    return pictures
 
 
 def write_run_page(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import logging
 import shlex
 from pathlib import Path
@@ -121,3 +122,24 @@ def test_guesses_look_hatched_on_the_page_whatever_the_size_of_the_photo(tmp_pat
     ripple = np.abs(np.diff(shown, axis=0)).mean(axis=0)  # along columns the colour does not change
     half = shown.shape[1] // 2
     assert ripple[half + 8 :].mean() > 5 > 2 * ripple[: half - 8].mean()
+
+
+def test_corrected_views_are_grey_where_their_photos_do_not_reach(tmp_path: Path, rng: np.random.Generator) -> None:
+    photo = np.full((60, 80, 3), 0.9, np.float32)
+    disparity_px = rng.uniform(2, 6, photo.shape[:2]).astype(np.float32)
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), disparity_px > 0)
+    write_depth(tmp_path / "one", DepthResult("one", maps), image=photo)
+    valid = np.zeros((60, 80), np.float32)
+    valid[:, 40:] = 1
+    write_image(tmp_path / "pair" / "wide.png", photo)
+    write_image(tmp_path / "pair" / "wide_valid.png", valid)
+    row = report_row(
+        PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers={}, corrected=tmp_path / "pair"
+    )
+    assert row.viewed is not None
+    pictures = row.viewed["pictures"]
+    assert list(pictures) == ["tele", "wide", "wide, corrected", "disparity"]  # type: ignore[call-overload]
+    encoded = base64.b64decode(pictures["wide, corrected"].partition(",")[2])  # type: ignore[index]
+    shown = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE) / 255
+    np.testing.assert_allclose(shown[:, :32], 0.5, atol=0.02)
+    np.testing.assert_allclose(shown[:, 48:], 0.9, atol=0.02)
