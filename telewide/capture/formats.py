@@ -49,6 +49,8 @@ HEAD_BYTES = 64
 """Of a file, by which its format is told."""
 TIFF_MAGICS = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
 TAG_DNG_VERSION = 50706
+TAG_OPCODES = {1: 51008, 2: 51009, 3: 51022}
+"""Lists of corrections of a DNG, by their number."""
 
 _PACKED = {"JPEG", "WEBP", "HEIF", "AVIF"}
 # What parsing a damaged file can raise.
@@ -150,7 +152,7 @@ def open_tiff(stream: BinaryIO) -> Iterator[tifffile.TiffFile]:
     remarks = logging.getLogger("tifffile")
     was_disabled, remarks.disabled = remarks.disabled, True
     try:
-        check_directories(stream)
+        check_directories(stream, judged_later=TAG_OPCODES.values())
         # Files of microscopes and scanners are walked through in ways of their own.
         with tifffile.TiffFile(stream, is_lsm=False, is_scanimage=False, is_ndpi=False) as tiff:
             yield tiff

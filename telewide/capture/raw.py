@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from telewide.capture.formats import TAG_DNG_VERSION, open_tiff, read_bytes, tiff_pages
+from telewide.capture.formats import TAG_DNG_VERSION, TAG_OPCODES, open_tiff, read_bytes, tiff_pages
 from telewide.capture.opcodes import (
     FixVignetteRadial,
     GainMap,
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     import tifffile
 
 
-_TAG_OPCODES = {1: 51008, 2: 51009, 3: 51022}
 _TAG_CROP_ORIGIN, _TAG_CROP_SIZE, _TAG_BASELINE_EXPOSURE = 50719, 50720, 50730
 _TAG_SUBFILE, _TAG_PHOTOMETRIC = 254, 262
 _CFA, _LINEAR_RAW = 32803, 34892
@@ -50,6 +49,7 @@ _FULL_SCALE = 65535
 # LibRaw's turns, as bits: rows exchanged with columns, rows from below, columns from the right.
 _TRANSPOSED, _BOTTOM_UP, _RIGHT_TO_LEFT = 4, 2, 1
 _MAX_EXPOSURE_EV = 8.0
+_BYTES = {1, 7}  # types of a TIFF
 _MOST_OPCODE_BYTES = 1 << 26
 _log = logging.getLogger("telewide")
 
@@ -230,26 +230,17 @@ def _turned(linear: FloatImage, flip: int) -> FloatImage:
 
 def _read_dng(path: Path, data: bytes) -> _DngFacts:
     """Read the tags of a DNG that are ours to carry out; of another RAW, nothing."""
-    lists: dict[int, object] = {}
+    opcodes: dict[int, tuple[Opcode, ...]] = dict.fromkeys(TAG_OPCODES, ())
     crop, exposure_ev = None, 0.0
     with suppress(InputError), open_tiff(BytesIO(data)) as tiff:
         page = raw_page(tiff)
         if page is not None and TAG_DNG_VERSION in tiff.pages.first.tags:
-            lists = {number: _stored_list(path, page, number=number) for number in _TAG_OPCODES}
+            opcodes = {number: _opcodes(path, page, number=number) for number in TAG_OPCODES}
             exposure_ev = _ratio(tiff.pages.first.tags.valueof(_TAG_BASELINE_EXPOSURE, default=0))
             crop = _crop_of(page)
     if not math.isfinite(exposure_ev):
         exposure_ev = 0.0
-    opcodes = {number: _opcodes(path, number, lists.get(number)) for number in _TAG_OPCODES}
     return _DngFacts(opcodes, crop, float(np.clip(exposure_ev, -_MAX_EXPOSURE_EV, _MAX_EXPOSURE_EV)))
-
-
-def _stored_list(path: Path, page: tifffile.TiffPage, *, number: int) -> object:
-    tag = page.tags.get(_TAG_OPCODES[number])
-    if tag is not None and tag.valuebytecount > _MOST_OPCODE_BYTES:
-        _log.warning("%s: its OpcodeList%d has %d bytes and is left out", path, number, tag.valuebytecount)
-        return None
-    return None if tag is None else tag.value
 
 
 def stored_hw(tiff: tifffile.TiffFile) -> tuple[int, int] | None:
@@ -280,12 +271,16 @@ def raw_page(tiff: tifffile.TiffFile) -> tifffile.TiffPage | None:
     return None
 
 
-def _opcodes(path: Path, number: int, content: object) -> tuple[Opcode, ...]:
-    if content is None:
+def _opcodes(path: Path, page: tifffile.TiffPage, *, number: int) -> tuple[Opcode, ...]:
+    tag = page.tags.get(TAG_OPCODES[number])
+    if tag is None:
         return ()
     try:
-        if not isinstance(content, bytes):
-            raise ValueError("it holds numbers, bytes were expected")
+        if tag.dtype not in _BYTES:
+            raise ValueError(f"it holds {tag.count} numbers, bytes were expected")
+        if tag.valuebytecount > _MOST_OPCODE_BYTES:
+            raise ValueError(f"it has {tag.valuebytecount} bytes")
+        content = tag.value
         return parse_opcodes(content) if content else ()
     except ValueError as error:
         _log.warning("%s: its OpcodeList%d cannot be read (%s) and is left out", path, number, error)

@@ -94,11 +94,12 @@ def stated_bytes(stream: BinaryIO) -> int:
     return sum(entry.n_bytes for entry in entries)
 
 
-def check_directories(stream: BinaryIO) -> None:
+def check_directories(stream: BinaryIO, *, judged_later: Collection[int] = ()) -> None:
     """Refuse a file whose tags hold more numbers than any photo needs: decoders make an object of each.
 
     Args:
         stream: the file, open for reading; it is left at its beginning.
+        judged_later: tags whose reader looks at their length before it reads them.
 
     Raises:
         ValueError: a tag of the first 64 directories, or of those below them, does.
@@ -107,7 +108,8 @@ def check_directories(stream: BinaryIO) -> None:
         layout, place = _opened(stream)
         for entries in _directories(stream, layout, place):
             for entry in entries:
-                if entry.kind not in _TEXTS | {1, 6} and entry.n_values > MOST_VALUES:
+                is_judged = entry.kind not in _TEXTS | {1, 6} and entry.tag not in judged_later
+                if is_judged and entry.n_values > MOST_VALUES:
                     raise ValueError(f"its tag {entry.tag} states {entry.n_values} values")
     except (struct.error, OSError):  # cut off, or no TIFF: its decoder says so
         return

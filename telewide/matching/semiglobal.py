@@ -6,10 +6,13 @@ ref has an edge, and the cheapest disparity wins. Values on which ref and src do
 background beside them, and edges are moved to those of ref.
 ``disparity_px = x_ref - x_src``; the window (d_min, d_max) is in px, d_max itself left out, and may be negative.
 Source: H. Hirschmueller, "Stereo Processing by Semiglobal Matching and Mutual Information", PAMI 2008.
-Letters: D disparity levels, H W image, N M steps of a sweep and pixels beside each other in a step.
+Letters: D disparity levels, H W image.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -18,9 +21,8 @@ from numpy.typing import NDArray
 from telewide.geometry.arrays import BoolMap, ByteImage, FloatMap
 from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotographed
 from telewide.matching.filling import fill_rows, weighted_median
+from telewide.matching.path_costs import CostVolume, summed_over_paths
 from telewide.matching.subpixel import refine_subpixel
-
-CostVolume = NDArray[np.uint16]
 
 _MIN_LEVELS = 4
 # Costs are in levels of colour, of 255, added up over the three channels.
@@ -29,16 +31,25 @@ _CENSUS_STEP_PX = 3
 _COLOUR_LIMIT = 60
 _OUTSIDE_COST = 105  # where src ends: dearer than most right matches, cheaper than most wrong ones
 _BLUR_PX = 1.0  # of both views: takes noise, steps of 8 bits and part of the difference in sharpness
-_SMALL_CHANGE = 180  # price of a change by one level of disparity along a path
-_LARGE_CHANGE = 3000  # price of a larger one where ref is even ...
-_LEAST_LARGE_CHANGE = 300  # ... and on its strongest edges
-_EDGE = 6  # the difference between neighbours of ref that halves the price
-_BAND_ROWS = 128  # rows swept sideways at once: bounds the memory
-_FORBIDDEN = 20_000  # dearer than any path; leaves room for sums in 16 bits
 _CONSISTENT_PX = 1.5
 _SPECKLE_SHARE = 0.0025  # of the image, the largest island of disparity that is dropped
 _AGREEMENT_BLOCK_PX = 9
 _MEASURED_CONFIDENCE = 0.25
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """Descriptions of ref and of src that are compared.
+
+    Attributes:
+        census: (H, W), patterns of light and dark.
+        planes: three colours of (H, W).
+        valid: where the photos reach; None where they fill the views.
+    """
+
+    census: tuple[ByteImage, ByteImage]
+    planes: tuple[list[ByteImage], list[ByteImage]]
+    valid: ValidMasks | None
 
 
 def match_semiglobal(
@@ -46,7 +57,8 @@ def match_semiglobal(
 ) -> DisparityMap:
     """Match two rectified views by semi-global matching, to a fraction of a pixel.
 
-    Takes 4 bytes of memory for every pixel and level.
+    Takes 4 bytes of memory for every pixel and level, up to 1 GiB; more would take about 14 bytes times D W and the
+    square root of H instead, a third more time, and give the same result.
 
     Args:
         ref: (H, W, 3) float32, sRGB in [0, 1]: the view the result is for.
@@ -72,14 +84,7 @@ def _match_to_levels(
     ref: FloatMap, src: FloatMap, *, window: tuple[int, int], valid: ValidMasks | None
 ) -> DisparityMap:
     """Match to whole pixels."""
-    cost_HDW = _matching_cost(ref, src, window=window)
-    if valid is not None:
-        _forget_unphotographed(cost_HDW, valid, window=window)
-    total_HDW = _summed_over_paths(cost_HDW, ref * 255)
-    del cost_HDW
-    measured_px = _cheapest(total_HDW) + np.float32(window[0])
-    src_disparity_px = _cheapest_of_src(total_HDW, window=window)
-    del total_HDW
+    measured_px, src_disparity_px = _measured(ref, src, window=window, valid=valid)
     difference_px = _cross_difference(measured_px, src_disparity_px)
     is_consistent = (difference_px <= _CONSISTENT_PX) & _outside_speckles(measured_px)
     if valid is not None:
@@ -91,6 +96,22 @@ def _match_to_levels(
     return without_unphotographed(DisparityMap(disparity_px, confidence, confidence >= _MEASURED_CONFIDENCE), valid)
 
 
+def _measured(
+    ref: FloatMap, src: FloatMap, *, window: tuple[int, int], valid: ValidMasks | None
+) -> tuple[FloatMap, FloatMap]:
+    """The cheapest disparity of each pixel of ref, and of src, px."""
+    compared = _compared(ref, src, valid)
+    measured_px, src_disparity_px = (np.empty(ref.shape[:2], dtype=np.float32) for _ in range(2))
+    totals = summed_over_paths(
+        partial(_matching_cost, compared, window=window), ref * 255, levels=window[1] - window[0]
+    )
+    for rows, total_HDW in totals:
+        measured_px[rows] = _cheapest(total_HDW) + np.float32(window[0])
+        src_disparity_px[rows] = _cheapest_of_src(total_HDW, window=window)
+        del total_HDW
+    return measured_px, src_disparity_px
+
+
 def _check_views(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> None:
     if ref.ndim != 3 or ref.shape[2] != 3 or ref.shape != src.shape:
         raise ValueError(f"two views of one shape (H, W, 3) are expected, found {ref.shape} and {src.shape}")
@@ -98,12 +119,16 @@ def _check_views(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> No
         raise ValueError(f"disparity window {window}: expected d_max - d_min of at least {_MIN_LEVELS} px")
 
 
-def _matching_cost(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> CostVolume:
-    """Cost of every disparity of every pixel of ref, (H, D, W)."""
+def _compared(ref: FloatMap, src: FloatMap, valid: ValidMasks | None) -> _Compared:
     soft_ref, soft_src = (cv2.GaussianBlur(view, (0, 0), _BLUR_PX).astype(np.float32) for view in (ref, src))
-    ref_census, src_census = _census(soft_ref), _census(soft_src)
-    ref_planes, src_planes = _byte_planes(soft_ref), _byte_planes(soft_src)
-    height, width = ref.shape[:2]
+    return _Compared((_census(soft_ref), _census(soft_src)), (_byte_planes(soft_ref), _byte_planes(soft_src)), valid)
+
+
+def _matching_cost(compared: _Compared, rows: slice, *, window: tuple[int, int]) -> CostVolume:
+    """Cost of every disparity of every pixel of some rows of ref, (H, D, W)."""
+    ref_census, src_census = (census[rows] for census in compared.census)
+    ref_planes, src_planes = ([plane[rows] for plane in planes] for planes in compared.planes)
+    height, width = ref_census.shape
     cost_HDW = np.full((height, window[1] - window[0], width), _OUTSIDE_COST, dtype=np.uint16)
     for level, disparity_px in enumerate(range(*window)):
         at_ref, at_src = _overlap(disparity_px, width=width)
@@ -111,6 +136,9 @@ def _matching_cost(ref: FloatMap, src: FloatMap, *, window: tuple[int, int]) -> 
         planes = zip(ref_planes, src_planes, strict=True)
         colour = _sum_of_three(*(_absolute_difference(r[:, at_ref], s[:, at_src]) for r, s in planes))
         cost_HDW[:, level, at_ref] = np.minimum(colour, _COLOUR_LIMIT) + bits * np.uint16(_BIT_COST)
+    if compared.valid is not None:
+        photographed = ValidMasks(compared.valid.ref[rows], compared.valid.src[rows])
+        _forget_unphotographed(cost_HDW, photographed, window=window)
     return cost_HDW
 
 
@@ -153,58 +181,6 @@ def _census(image: FloatMap) -> ByteImage:
     corners = [(y, x) for y in (0, step, 2 * step) for x in (0, step, 2 * step) if (y, x) != (step, step)]
     brighter = np.stack([around[y : y + height, x : x + width] > grey for y, x in corners])
     return np.asarray(np.packbits(brighter, axis=0)[0])
-
-
-def _summed_over_paths(cost_HDW: CostVolume, ref: FloatMap) -> CostVolume:
-    """Sum of the path costs that reach each pixel from eight directions, (H, D, W)."""
-    total_HDW = np.zeros_like(cost_HDW)
-    for direction in (1, -1):
-        for drift in (-1, 0, 1):
-            _sweep(cost_HDW[::direction], total_HDW[::direction], ref[::direction], drift=drift)
-    for top in range(0, ref.shape[0], _BAND_ROWS):
-        band = slice(top, top + _BAND_ROWS)
-        cost_WDH = cost_HDW[band].transpose(2, 1, 0).copy()
-        total_WDH = np.zeros_like(cost_WDH)
-        for direction in (1, -1):
-            sideways = ref[band].transpose(1, 0, 2)[::direction]
-            _sweep(cost_WDH[::direction], total_WDH[::direction], sideways, drift=0)
-        total_HDW[band] += total_WDH.transpose(2, 1, 0)
-    return total_HDW
-
-
-def _sweep(cost_NDM: CostVolume, total_NDM: CostVolume, guide: FloatMap, *, drift: int) -> None:
-    """Add the costs of the paths that run from the first step to the last, ``drift`` pixels aside in each.
-
-    ``L(d) = C(d) + min(L'(d), L'(d - 1) + P1, L'(d + 1) + P1, min L' + P2) - min L'`` with L' of the pixel before on
-    the path, P1 the small change and P2 the large one.
-    """
-    _, levels, width = cost_NDM.shape
-    before_x = np.clip(np.arange(width) - drift, 0, width - 1)
-    before = np.full((levels + 2, width), _FORBIDDEN, dtype=np.uint16)  # a level more at either end
-    path = cost_NDM[0].copy()
-    total_NDM[0] += path
-    for step in range(1, len(cost_NDM)):
-        _shift_columns(path, before[1:-1], by=drift)
-        least = before.min(axis=0)
-        difference = np.abs(guide[step] - guide[step - 1, before_x]).sum(axis=1)
-        large_change = np.maximum(_LARGE_CHANGE / (1 + difference / _EDGE), _LEAST_LARGE_CHANGE).astype(np.uint16)
-        np.minimum(before[:-2], before[2:], out=path)
-        path += np.uint16(_SMALL_CHANGE)
-        np.minimum(path, before[1:-1], out=path)
-        np.minimum(path, least + large_change, out=path)
-        path -= least
-        path += cost_NDM[step]
-        total_NDM[step] += path
-
-
-def _shift_columns(values: CostVolume, out: CostVolume, *, by: int) -> None:
-    """Move columns by -1, 0 or 1; the column left empty repeats its neighbour."""
-    if by == 0:
-        out[:] = values
-    elif by > 0:
-        out[:, 1:], out[:, 0] = values[:, :-1], values[:, 0]
-    else:
-        out[:, :-1], out[:, -1] = values[:, 1:], values[:, -1]
 
 
 def _cheapest(total_HDW: CostVolume) -> FloatMap:

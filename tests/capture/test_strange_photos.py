@@ -32,6 +32,7 @@ from telewide.capture.importer import plan_import
 from telewide.capture.layout import find_captures
 from telewide.capture.lens_choice import LensChoice
 from telewide.capture.opcodes import parse_opcodes
+from telewide.capture.raw import read_raw
 from telewide.errors import InputError
 from telewide.files import fingerprint
 
@@ -266,6 +267,26 @@ def test_an_opcode_list_of_another_type_is_left_out(tmp_path: Path, caplog: pyte
     path.write_bytes(data)
     assert read_image(path).shape == (48, 64, 3)
     assert "OpcodeList3 cannot be read" in caplog.text
+
+
+@pytest.mark.parametrize(("kind", "n_bytes"), [(4, 4), (7, 1), (12, 8)], ids=["LONG", "bytes", "DOUBLE"])
+def test_an_opcode_list_without_end_is_left_out(
+    tmp_path: Path, kind: int, n_bytes: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    shading = opcode_list(gain_map(np.full((2, 2, 1), 2, np.float32), area=(0, 0, 48, 64)))
+    path = write_dng(tmp_path / "a.dng", FLAT, opcodes={2: shading, 3: bytes(8)})
+    with tifffile.TiffFile(path) as tiff:
+        offset = tiff.pages.first.tags[51022].offset
+    data = bytearray(path.read_bytes())
+    count = (96 << 20) // n_bytes
+    struct.pack_into("<HI", data, offset + 2, kind, count)
+    path.write_bytes(data)
+    os.truncate(path, 1 << 27)  # a hole
+    with bounded():
+        photo = read_raw(path)
+    assert "a.dng: its OpcodeList3 cannot be read (it h" in caplog.text
+    assert f" {count} " in caplog.text
+    assert photo.corrections == ("GainMap",)
 
 
 @pytest.mark.parametrize("date", ["9999:12:31 23:59:59", "0001:01:01 00:00:00", "2024:13:45 10:00:00"])

@@ -189,6 +189,7 @@ TRIED = (
         "DNG with an OpcodeList3 of 250 million numbers",
         one(tele("tele.dng", list_without_end)),
         0,
+        "OpcodeList3 cannot be read (it holds 250000000 numbers",
     ),
     Tried(
         "TIFF whose strips lie in 250 million places", one(tele("tele.tif", strips_without_end)), 0, "tag 273 states"
