@@ -36,6 +36,7 @@ _FALSE_OF_A_PICTURE = {37500, 37396, 41492, 40965, 42016, 37122, 40964}
 _REQUIRED = {282: 72.0, 283: 72.0, 296: 2, 531: 1}
 _REQUIRED_OF_EXIF = {36864: b"0232", 37121: b"\1\2\3\0", 40960: b"0100", 40961: 1}
 _UNDEFINED = {_IFD_EXIF: {34856, 36864, 37121, 37510, 40960, 41728, 41729, 41730, 41995}, _IFD_GPS: {27, 28}}
+_SIGNED = {37377, 37379, 37380}  # ShutterSpeedValue, BrightnessValue, ExposureBiasValue
 _REQUIRED_OF_GPS = {0: b"\2\3\0\0"}
 _MOST_EXIF_BYTES, _MOST_XMP_BYTES = 65000, 60000
 
@@ -90,7 +91,7 @@ class CarriedFacts:
         exif[_IFD_EXIF] = {**_REQUIRED_OF_EXIF, **self.exif, **own}
         if self.gps:
             exif[_IFD_GPS] = {**_REQUIRED_OF_GPS, **self.gps}
-        return _with_undefined(exif.tobytes())
+        return _with_exif_types(exif.tobytes())
 
     def xmp_packet(self, *, software: str, done: str) -> bytes:
         """Write XMP of a picture: what holds of the photo, and what was done.
@@ -156,8 +157,8 @@ def _carried(exif: Image.Exif, xmp: object, profile: bytes | None) -> CarriedFac
     return facts if is_short else replace(facts, lasting={}, exif={}, gps={})
 
 
-def _with_undefined(exif: bytes) -> bytes:
-    """Give bytes of no type the type 7, UNDEFINED: Pillow writes some as type 1 (CIPA DC-008, 4.6.2)."""
+def _with_exif_types(exif: bytes) -> bytes:
+    """Give tags the types of EXIF (CIPA DC-008, 4.6.2): Pillow writes some of type 7 as 1, and some of 10 as 5."""
     patched = bytearray(exif)
     order = "<" if exif[6:8] == b"II" else ">"
     (first,) = struct.unpack_from(f"{order}I", exif, 10)
@@ -167,7 +168,14 @@ def _with_undefined(exif: bytes) -> bytes:
             for inner, kind, at in _entries(exif, order, below):
                 if kind == 1 and inner in _UNDEFINED[tag]:
                     struct.pack_into(f"{order}H", patched, at + 2, 7)
+                elif kind == 5 and inner in _SIGNED and _is_signed_fraction(exif, order, at):
+                    struct.pack_into(f"{order}H", patched, at + 2, 10)
     return bytes(patched)
+
+
+def _is_signed_fraction(exif: bytes, order: str, entry: int) -> bool:
+    (place,) = struct.unpack_from(f"{order}I", exif, entry + 8)
+    return bool(max(struct.unpack_from(f"{order}II", exif, place + 6)) < 1 << 31)
 
 
 def _entries(exif: bytes, order: str, directory: int) -> Iterator[tuple[int, int, int]]:

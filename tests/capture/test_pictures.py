@@ -46,6 +46,8 @@ def photo(tmp_path: Path) -> Path:
     exif[34665] = {
         33434: IFDRational(1, 120),
         36867: "2026:05:04 10:11:12",
+        37377: IFDRational(69, 10),
+        37380: IFDRational(-1, 3),
         37500: b"Apple iOS\0" + bytes(40),  # MakerNote
         37396: (2000, 1500, 300, 200),  # SubjectArea, in stored pixels
         41729: b"\1",  # SceneType: photographed
@@ -70,6 +72,7 @@ def test_a_jpeg_says_what_its_photo_said_and_stands_upright(tmp_path: Path, phot
     write_picture(tmp_path / "bokeh.jpg", image, facts=facts)
     told, of_photo = told_by_exiftool(tmp_path / "bokeh.jpg"), told_by_exiftool(photo)
     kept = ("Make", "Model", "DateTimeOriginal", "ExposureTime", "SceneType", "LensModel", "LensInfo", "GPSLatitude")
+    kept += ("ShutterSpeedValue", "ExposureCompensation")
     for name in (f"EXIF:{name}" for name in (*kept, "GPSLongitude")):
         assert told[name] == of_photo[name], name
     assert told["XMP:Creator"] == "Ada Löwe"
@@ -86,6 +89,22 @@ def test_a_jpeg_says_what_its_photo_said_and_stands_upright(tmp_path: Path, phot
     with Image.open(tmp_path / "bokeh.jpg") as read:
         assert read.info["icc_profile"] == PROFILE
         np.testing.assert_allclose(np.asarray(read) / 255, image, atol=0.03)
+
+
+@needs_exiftool
+@pytest.mark.data
+def test_facts_of_a_real_phone_are_carried_without_a_warning(
+    tmp_path: Path, data_root: Path, image: np.ndarray
+) -> None:
+    photos = sorted((data_root / "phone_tele_wide_exif").glob("*.jpg"))
+    if not photos:
+        pytest.skip("no photos of a phone")
+    for photo in photos:
+        write_picture(tmp_path / "bokeh.jpg", image, facts=PictureFacts("telewide 9", of_photo=read_carried(photo)))
+        told, of_photo = told_by_exiftool(tmp_path / "bokeh.jpg"), told_by_exiftool(photo)
+        for name in ("Model", "FNumber", "BrightnessValue", "GPSLatitude", "LensModel", "SubSecTimeOriginal"):
+            assert told[f"EXIF:{name}"] == of_photo[f"EXIF:{name}"], name
+        assert told_by_exiftool(tmp_path / "bokeh.jpg", "-validate")["ExifTool:Validate"] == "0 0 0"
 
 
 @needs_exiftool
