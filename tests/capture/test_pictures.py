@@ -103,7 +103,8 @@ def test_facts_of_a_real_phone_are_carried_without_a_warning(
         write_picture(tmp_path / "bokeh.jpg", image, facts=PictureFacts("telewide 9", of_photo=read_carried(photo)))
         told, of_photo = told_by_exiftool(tmp_path / "bokeh.jpg"), told_by_exiftool(photo)
         for name in ("Model", "FNumber", "BrightnessValue", "GPSLatitude", "LensModel", "SubSecTimeOriginal"):
-            assert told[f"EXIF:{name}"] == of_photo[f"EXIF:{name}"], name
+            assert told.get(f"EXIF:{name}") == of_photo.get(f"EXIF:{name}"), name
+        assert "EXIF:GPSLatitude" in told
         assert told_by_exiftool(tmp_path / "bokeh.jpg", "-validate")["ExifTool:Validate"] == "0 0 0"
 
 
