@@ -194,7 +194,13 @@ def given_by(command: str, folder: Path) -> Given:
     killer.start()
     ended = call.end()
     killer.cancel()
-    return Given(ended.code, ended.said, ended.cpu_s, max(0.0, ended.peak_mb - own_mb))
+    return Given(
+        ended.code,
+        ended.said,
+        seconds=ended.cpu_s,
+        megabytes=max(0.0, ended.peak_mb - own_mb),
+        megabytes_in_all=ended.peak_mb,
+    )
 
 
 def limited() -> None:

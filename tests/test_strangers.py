@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from strangers.table import TRIED, row
+from strangers.table import HEAD, TRIED, row
 
 
 def test_the_table_in_the_docs_is_of_all_that_is_tried(repo: Path) -> None:
     lines = (repo / "docs" / "reliability.md").read_text(encoding="utf-8").splitlines()
-    first = lines.index("| input | exit code | line |") + 2
+    first = lines.index(HEAD) + 2
     table = lines[first : lines.index("", first)]
     for one, found in zip(TRIED, table, strict=True):
         assert found.startswith(row(one, "").removesuffix(" |").rstrip()), one.name

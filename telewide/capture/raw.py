@@ -33,6 +33,7 @@ from telewide.capture.opcodes import (
     warp_rectilinear,
 )
 from telewide.capture.sizes import check_size, is_read_halved, read_hw, say_halved
+from telewide.capture.tiff_tags import numbers_at
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatImage
 from telewide.srgb import srgb_from_linear
@@ -235,7 +236,11 @@ def _read_dng(path: Path, data: bytes) -> _DngFacts:
     with suppress(InputError), open_tiff(BytesIO(data)) as tiff:
         page = raw_page(tiff)
         if page is not None and TAG_DNG_VERSION in tiff.pages.first.tags:
-            opcodes = {number: _opcodes(path, page, number=number) for number in TAG_OPCODES}
+            stated = numbers_at(BytesIO(data), page.offset) & set(TAG_OPCODES.values())
+            opcodes = {
+                number: _opcodes(path, page.tags.get(code), number=number) if code in stated else ()
+                for number, code in TAG_OPCODES.items()
+            }
             exposure_ev = _ratio(tiff.pages.first.tags.valueof(_TAG_BASELINE_EXPOSURE, default=0))
             crop = _crop_of(page)
     if not math.isfinite(exposure_ev):
@@ -271,11 +276,10 @@ def raw_page(tiff: tifffile.TiffFile) -> tifffile.TiffPage | None:
     return None
 
 
-def _opcodes(path: Path, page: tifffile.TiffPage, *, number: int) -> tuple[Opcode, ...]:
-    tag = page.tags.get(TAG_OPCODES[number])
-    if tag is None:
-        return ()
+def _opcodes(path: Path, tag: tifffile.TiffTag | None, *, number: int) -> tuple[Opcode, ...]:
     try:
+        if tag is None:  # tifffile passes over what it cannot reach
+            raise ValueError("it lies beyond the file's end")
         if tag.dtype not in _BYTES:
             raise ValueError(f"it holds {tag.count} numbers, bytes were expected")
         if tag.valuebytecount > _MOST_OPCODE_BYTES:

@@ -117,6 +117,22 @@ def check_directories(stream: BinaryIO, *, judged_later: Collection[int] = ()) -
         stream.seek(0)
 
 
+def numbers_at(stream: BinaryIO, place: int) -> set[int]:
+    """Return the numbers of the tags of a directory, also of those whose values lie beyond the file's end.
+
+    Args:
+        stream: the file, open for reading; it is left at its beginning.
+        place: where the directory lies, bytes.
+    """
+    try:
+        layout, _ = _opened(stream)
+        return {entry.tag for entry in _directory(stream, layout, place)[0]}
+    except (ValueError, struct.error, OSError):  # cut off
+        return set()
+    finally:
+        stream.seek(0)
+
+
 def _directories(stream: BinaryIO, layout: _Layout, place: int) -> Iterator[list[_Entry]]:
     """Each directory once, those below another one after it."""
     waiting, seen = [place], set[int]()

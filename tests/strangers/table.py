@@ -27,12 +27,14 @@ class Given:
         said: all that it said.
         seconds: of one core.
         megabytes: its peak above what it began with.
+        megabytes_in_all: its peak.
     """
 
     code: int
     said: str
     seconds: float
     megabytes: float
+    megabytes_in_all: float
 
     def line(self, said: str) -> str:
         """The last message, if there are some the last of those with this piece; empty where there was none."""
@@ -76,20 +78,34 @@ def tried(one: Tried, variant: Variant, *, world: Path, call: Call) -> Given:
     return given
 
 
+HEAD = "| input | exit code | line | s | MB |"
+
+
 def rows(world: Path, *, call: Call) -> Iterator[str]:
-    """The rows of the table in docs/reliability.md, as they come.
+    """The rows of the table in docs/reliability.md, as they come, with the most that a variant took.
 
     Args:
         world: of `strangers.world`.
         call: runs a command.
+
+    Raises:
+        AssertionError: after the last row, where some do not give what they must.
     """
-    yield "| input | exit code | line |\n| --- | ---: | --- |"
+    yield f"{HEAD}\n| --- | ---: | --- | ---: | ---: |"
+    failures = []
     for one in TRIED:
-        given = [tried(one, variant, world=world, call=call) for variant in one.variants]
+        try:
+            given = [tried(one, variant, world=world, call=call) for variant in one.variants]
+        except AssertionError as failure:
+            failures.append(str(failure))
+            yield f"FAILED: {failure}"
+            continue
         line = given[0].line(one.said).replace(f"{world.parent}/", "").replace("|", "/")
-        yield row(one, f"`{line}`" if line else "")
+        seconds, megabytes = max(each.seconds for each in given), max(each.megabytes_in_all for each in given)
+        yield f"{row(one, f'`{line}`' if line else '')} {seconds:.0f} | {megabytes:.0f} |"
+    assert not failures, f"{len(failures)} of {len(TRIED)} rows"
 
 
 def row(one: Tried, line: str) -> str:
-    """A row of the table."""
+    """What a row of the table begins with."""
     return f"| {one.name} | {one.code} | {line} |"
