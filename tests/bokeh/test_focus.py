@@ -118,6 +118,9 @@ def test_auto_takes_what_stands_before_the_wall_though_the_wall_is_larger_and_fl
     assert 29.5 < focus.disparity_px < 33
     assert ball[focus.y_px, focus.x_px]
     assert abs(disparity_px[focus.y_px, focus.x_px] - focus.disparity_px) < 0.5
+    assert focus.sharp_px is not None
+    assert focus.sharp_px[0] < 30.7, "to the rim of the ball"
+    assert focus.sharp_px[1] > 32.3, "and to its front"
 
 
 def test_auto_keeps_the_whole_subject_sharp_and_blurs_the_rest(rng: np.random.Generator) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from telewide.matching import guided
 from telewide.matching.guided import Coarser
 from telewide.matching.inference import full_precision
 from telewide.matching.networks import NetworkOutput, StereoNetwork, build_network, standardise
@@ -113,8 +114,10 @@ def test_a_guess_near_the_own_one_changes_nothing(apart_px: float, is_taken: boo
 
 
 @pytest.mark.parametrize("scales", [2, 3])
-def test_smaller_sizes_say_what_half_the_views_do(scales: int) -> None:
+def test_smaller_sizes_say_what_half_the_views_do(scales: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the size is the same network on views averaged by twos, its disparities doubled, and so on."""
+    for name, limit in (("UNSURE", 1.0), ("SURER_BY", -1.0), ("APART_PX", -1.0)):  # all of it is taken up
+        monkeypatch.setattr(guided, name, limit)
     network = network_with_all_branches("guided")
     ref, src = views(128, 192)
     halves = [torch.nn.functional.avg_pool2d(view, 2) for view in (ref, src)]

@@ -52,7 +52,8 @@ def all_bugs() -> Iterator[Bug]:
 
 def outcome(folder: Path, tests: tuple[str, ...]) -> str:
     """Run tests in a copy of the tree; one that never ends has caught the bug."""
-    (run := get_context("fork").Process(target=_run, args=(folder, tests))).start()
+    # Named so, since rawpy warns in any other process that was forked.
+    (run := get_context("fork").Process(target=_run, args=(folder, tests), name="MainProcess")).start()
     run.join(LONGEST_S)
     code = run.exitcode
     run.kill()

@@ -89,6 +89,8 @@ def test_a_batch_depends_on_seed_stage_and_step_only(source: SampleSource, captu
     assert not is_equal(batches[5], first)
     assert not is_equal(StepBatches(source, stage, seed=4)[4], first)
     assert not is_equal(StepBatches(source, replace(stage, index=2), seed=3)[4], first)
+    captured = [StepBatches(source, stage_of(index, steps=9, captured=2), seed=3)[4] for index in (1, 2)]
+    assert not is_equal(*captured), "crops of captures too"
 
 
 def test_a_batch_does_not_touch_others_draws(source: SampleSource) -> None:
