@@ -18,6 +18,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import find_focus
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
@@ -201,8 +202,8 @@ def estimate_depth(
     Args:
         photos: as taken.
         rig: of the two lenses; None for photos that are rectified.
-        weights: of a trained network; None matches without one.
-        method: None takes the network with weights and sgm without.
+        weights: of a trained network; None takes the one that comes with telewide.
+        method: "network", or "sgm" for semi-global matching; None takes the network.
         device: of the network.
         facts: what is known of the photos besides, such as focal length and baseline where there is no rig.
         recipe: working width, window, corrections, seed; None for the default recipe.
@@ -211,7 +212,7 @@ def estimate_depth(
         Disparity with its confidence; metres and their standard deviation where rig or facts state the scale.
 
     Raises:
-        UsageError: a network without weights.
+        UsageError: the weights that are named do not exist.
         InputError: the photos do not fit the rig or one another, or too few of their points match.
         QualityError: the pair is not fit for depth.
 
@@ -221,13 +222,13 @@ def estimate_depth(
         >>> depth.disparity.disparity_px.shape == telewide.read_pair("examples/captures/000").tele.shape[:2]
         True
     """
-    method = method or ("sgm" if weights is None else "network")
+    method = method or "network"
     recipe = recipe or load_recipe(DEFAULT_RECIPE)
     facts = facts or CaptureFacts(rectified=True if rig is None else None)
     shot = rectify(photos, rig=rig, facts=facts, recipe=recipe)
     if shot.report.verdict == "refused":
         raise QualityError(f"{photos.name}: {'; '.join(shot.report.reasons)}")
-    matcher = read_matcher(Path(weights) if weights is not None else None, method=method, device=device)
+    matcher = read_matcher(Path(weights or BOX_WEIGHTS), method=method, device=device)
     views = shot.corrected.pair
     window = _window(shot, recipe, matcher)
     disparity = matcher.match(views.tele, views.wide, window=window, valid=views.valid)
@@ -255,7 +256,7 @@ def render_bokeh(
     photo: FloatMap,
     depth: DepthResult,
     *,
-    focus: str = "auto",
+    focus: str | tuple[float, float] = "auto",
     strength_px: float | None = None,
     f_number: float | None = None,
     equiv_focal_mm: float = 50.0,
@@ -267,7 +268,7 @@ def render_bokeh(
     Args:
         photo: (H, W, 3) float32 sRGB in [0, 1], the tele photo.
         depth: of :func:`estimate_depth`.
-        focus: "X,Y" in px of the photo, a distance such as "2.5m", near, far or auto.
+        focus: a point (x, y) or "X,Y" in px of the photo, a distance such as "2.5m", near, far or auto.
         strength_px: radius of the strongest blur, px; None for 1.2 % of the longer side.
         f_number: of an imitated lens instead; needs a rig or facts that state the baseline.
         equiv_focal_mm: focal length of that lens on 35 mm film.
@@ -287,6 +288,7 @@ def render_bokeh(
         >>> picture.shape == photos.tele.shape
         True
     """
+    focus = focus if isinstance(focus, str) else "{},{}".format(*focus)
     options = BokehOptions(
         focus=focus,
         strength_px=strength_px,

@@ -17,7 +17,10 @@ from telewide import api
 from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm
 from telewide.cli import main
-from telewide.errors import UsageError
+from telewide.depth.result import DepthResult
+from telewide.errors import TelewideError, UsageError
+from telewide.geometry.stereo import DisparityMap
+from telewide.matching.methods import Method
 
 FUNCTIONS = [name for name in telewide.__all__ if not name.startswith("_")]
 SLOW = {"calibrate", "train"}
@@ -61,12 +64,16 @@ def test_the_example_script_runs(
     assert read_image(tmp_path / "bokeh.png").shape[2] == 3
 
 
-def test_depth_is_that_of_the_command_line(repo: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("words", "method"), [(("--method", "sgm"), "sgm"), ((), None)])
+def test_depth_is_that_of_the_command_line(
+    words: tuple[str, ...], method: Method | None, repo: Path, tmp_path: Path
+) -> None:
+    """By the network that comes with telewide, unless another way is named."""
     capture = repo / "examples" / "captures" / "001"
     with pytest.raises(SystemExit) as left:
-        main(["depth", str(capture), "--method", "sgm", "--out", str(tmp_path), "--run", str(tmp_path / "run"), "-q"])
+        main(["depth", str(capture), *words, "--out", str(tmp_path), "--run", str(tmp_path / "run"), "-q"])
     assert not left.value.code
-    depth = telewide.estimate_depth(telewide.read_pair(capture))
+    depth = telewide.estimate_depth(telewide.read_pair(capture), method=method)
     apart_px = np.abs(depth.disparity.disparity_px - read_pfm(tmp_path / "001" / "disparity.pfm"))
     # The command keeps the corrected pair as pictures of 8 bits; what they round moves some pixels.
     assert np.median(apart_px) < 0.03
@@ -78,7 +85,17 @@ def test_a_folder_of_many_captures_is_refused(repo: Path) -> None:
         telewide.read_pair(os.fspath(repo / "examples" / "captures"))
 
 
-def test_a_network_needs_weights(repo: Path) -> None:
+def test_weights_that_do_not_exist_are_told(repo: Path, tmp_path: Path) -> None:
     photos = telewide.read_pair(repo / "examples" / "captures" / "000")
-    with pytest.raises(UsageError, match="weights"):
-        telewide.estimate_depth(photos, method="network")
+    with pytest.raises(TelewideError, match=r"nowhere\.safetensors"):
+        telewide.estimate_depth(photos, weights=tmp_path / "nowhere.safetensors")
+
+
+def test_a_point_may_be_numbers(repo: Path) -> None:
+    photo = np.random.default_rng(1).random((60, 90, 3), dtype=np.float32)
+    disparity_px = np.where(np.arange(90) < 40, 4.0, 12.0).astype(np.float32) * np.ones((60, 1), np.float32)
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+    depth = DepthResult("beach", maps)
+    pictures = [telewide.render_bokeh(photo, depth, focus=focus, strength_px=4.0) for focus in ((70, 30), "70,30")]
+    np.testing.assert_array_equal(*pictures)
+    np.testing.assert_allclose(pictures[0][:, 60:], photo[:, 60:], atol=1e-4)

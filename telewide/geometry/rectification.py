@@ -255,7 +255,8 @@ def _camera_at_size(name: str, camera: Camera, hw: tuple[int, int]) -> Camera:
     if (scales[1] - scales[0]) * max(camera.hw) > 1.5 * max(1.0, scales[1]):
         raise InputError(
             f"the {name} photo is {_size(hw)}; the rig was calibrated with photos of {_size(camera.hw)}",
-            hint="use photos as they were taken, uncropped",
+            hint="use photos as they were taken, uncropped, and the rig of the same phone; for rectified photos state "
+            "rectified: true in captures.yaml, and no rig is looked for",
         )
     return camera.resized((int(hw[0]), int(hw[1])))
 

@@ -24,6 +24,9 @@ from telewide.stages.run_folder import RunFolder, locate_run, write_run_record
 from telewide.text import Invocation
 from telewide.training.processes import Processes, joined_processes
 
+MOST_NAMED = 12
+"""Captures that a message names, those most like what was asked for."""
+
 
 @dataclass(frozen=True)
 class Call:
@@ -119,8 +122,9 @@ def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:
     known = [capture.name for capture in captures.captures]
     for name in only:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=3, cutoff=0.0)
-            raise UsageError(f"{captures.root} holds no capture {name}", hint=f"known ones: {', '.join(near)} ...")
+            near = sorted(difflib.get_close_matches(name, known, n=MOST_NAMED, cutoff=0.0))
+            rest = " ..." if len(known) > len(near) else ""
+            raise UsageError(f"{captures.root} holds no capture {name}", hint=f"known ones: {', '.join(near)}{rest}")
     chosen = tuple(capture for capture in captures.captures if capture.name in only)
     problems = tuple(problem for problem in captures.problems if problem.name in only)
     return replace(captures, captures=chosen, problems=problems)

@@ -11,6 +11,7 @@ from telewide.pages.report import NextStep, ReportRow
 from telewide.pages.run_page import next_steps, report_row, steps_after_depth, write_run_page
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
+from telewide.stages.kept_depth import KEPT_NAME
 
 
 def report(call: Call, done: DepthRun) -> DepthRun:
@@ -48,7 +49,15 @@ def _written(call: Call, done: DepthRun, *, summary: str, steps: tuple[NextStep,
     )
     if page is None:
         call.observer.warned(f"{root / 'report.html'} is not a page of telewide's, so it is left as it is: no report")
+    elif others := _others(done):
+        call.observer.said(f"{page} shows what this call was given; {others} more lie in {done.folder}")
     return replace(done, report=page)
+
+
+def _others(done: DepthRun) -> int:
+    """Count captures of former calls whose depth lies beside that of this one."""
+    names = {outcome.name for outcome in done.outcomes}
+    return sum(record.parent.name not in names for record in done.folder.glob(f"*/{KEPT_NAME}"))
 
 
 def _rows(call: Call, done: DepthRun, *, root: Path) -> Iterator[ReportRow]:

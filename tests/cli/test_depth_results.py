@@ -18,6 +18,7 @@ from telewide.cli import main
 from telewide.cli.console import console_observer, hand_over
 from telewide.cli.depth import depth_as_json, why_not_good
 from telewide.errors import QualityError
+from telewide.simulate.captures import write_captures
 from telewide.stages.capture_depth import DepthOutcome
 from telewide.stages.depth import DepthRun
 
@@ -112,3 +113,14 @@ def test_run_without_a_network_trains_nothing(tmp_path: Path, rng: np.random.Gen
     assert not (tmp_path / "run" / "train" / "weights.safetensors").exists()
     assert (tmp_path / "run" / "depth" / "one" / "bokeh.jpg").is_file()
     assert 'data-scene="one"' in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_page_of_one_capture_says_that_others_have_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_captures(tmp_path / "captures", count=3, seed=1, hw=(96, 144), factor=2)
+    words = ("depth", str(tmp_path / "captures"), "--run", str(tmp_path / "run"), "--method", "sgm")
+    for only in ((), ("--only", "001")):
+        with pytest.raises(SystemExit) as left:
+            main([*words, *only])
+        assert not left.value.code
+        said = " ".join(capsys.readouterr().err.split())
+        assert ("shows what this call was given; 2 more lie in" in said) == bool(only)
