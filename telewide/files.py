@@ -160,7 +160,7 @@ def _why_not_read(found: os.stat_result) -> str | None:
     if not stat.S_ISREG(found.st_mode):
         return "is a pipe, a socket or a device; a file was expected"
     if found.st_size > MAX_FILE_BYTES:
-        return f"has {found.st_size} bytes; files of up to {MAX_FILE_BYTES >> 30} GiB are read"
+        return f"has {found.st_size} bytes; files of up to {MAX_FILE_BYTES / (1 << 30):g} GiB are read"
     return None
 
 

@@ -11,8 +11,8 @@ MAX_SIDE_PX = 1 << 16
 """Of a photo."""
 MAX_SIDE_RATIO = 32
 """Of a photo's longer side to its shorter one; panoramas have up to 20."""
-MAX_FILE_BYTES = 1 << 31
-"""Of any file that is read: such a photo with three channels of 16 bits and no compression has 1.6e9."""
+MAX_FILE_BYTES = 3 << 29
+"""Of any file that is read: as many as 268 megapixels of three channels of 16 bits have."""
 MAX_PACKED_BYTES = 1 << 29
 """Of a photo in a format that loses something: 2 bytes a pixel of the largest, more than any encoder writes."""
 MAX_SCANS = 64

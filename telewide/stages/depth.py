@@ -259,6 +259,10 @@ def _depth_of(
         told = "EXIF states no distance of the focus (SubjectDistance), so none is used"
         call.observer.warned(f"{item.capture.name}: {told}")
     shot = shot_geometry(item, prepared, matcher=matcher, known=known)
+    try:
+        key = _depth_key(item, matcher, window=window, options=options, shot=shot)
+    except (InputError, UsageError) as error:  # a truth of a size that is not read
+        return DepthFailure(item.source.name, error)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -267,7 +271,7 @@ def _depth_of(
         match=matcher.match,
         window=window,
         bokeh=options.bokeh,
-        key=_depth_key(item, matcher, window=window, options=options, shot=shot),
+        key=key,
         shot=shot,
         photos=call.photos,
         formats=options.formats,

@@ -35,6 +35,7 @@ from telewide.capture.opcodes import parse_opcodes
 from telewide.capture.raw import read_raw
 from telewide.errors import InputError
 from telewide.files import fingerprint
+from telewide.ranges import MAX_FILE_BYTES
 
 FLAT = np.full((48, 64), 0.25, np.float32)
 PLAIN_WARP = warp((1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -133,11 +134,11 @@ def test_the_limit_of_pillow_is_not_that_of_photos(tmp_path: Path, monkeypatch: 
         ("a.heic", b"\0\0\0\x18ftypheic", "larger than 1 MiB"),
     ],
 )
-def test_a_hole_of_2_gib_is_not_read_through(
+def test_a_hole_as_large_as_any_file_may_be_is_not_read_through(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, head: bytes, message: str
 ) -> None:
     (tmp_path / name).write_bytes(head)
-    os.truncate(tmp_path / name, (1 << 31) - 1)
+    os.truncate(tmp_path / name, MAX_FILE_BYTES - 1)
     monkeypatch.setattr(formats, "MAX_PACKED_BYTES", 1 << 20)
     with bounded(megabytes=20), pytest.raises(InputError, match=message):
         read_image(tmp_path / name)
@@ -356,7 +357,10 @@ def test_a_photo_with_a_hole_of_a_terabyte_is_refused(tmp_path: Path, name: str)
     Image.new("RGB", (64, 48)).save(path, {"dng": "TIFF"}.get(name[2:]))
     os.truncate(path, 1 << 40)
     for read in (read_image, read_photo_facts, fingerprint):
-        with bounded(megabytes=50), pytest.raises(InputError, match="has 1099511627776 bytes; files of up to 2 GiB"):
+        with (
+            bounded(megabytes=50),
+            pytest.raises(InputError, match=r"has 1099511627776 bytes; files of up to 1\.5"),
+        ):
             read(path)
 
 

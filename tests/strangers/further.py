@@ -19,6 +19,8 @@ from strangers.photos import IMPORT, dng, named, plain, tele, truth
 from strangers.records import DEPTH_JSON, PAIR, RUN, WEIGHTS, record, rig, vouched, written
 from strangers.world import DEPTH, HW, TINY
 
+from telewide.ranges import MAX_FILE_BYTES
+
 
 def both(name: str, write: Callable[[Path, int], object]) -> Plant:
     """Two other photos in the place of the first capture's."""
@@ -163,13 +165,13 @@ STRANGE_NAMES = ("--help", "$(touch nowhere)", "<b>", "a" * 250, "'; x", "\u202e
 RIGGED = f"{DEPTH} --rig phone.yaml"
 NAN, INF = float("nan"), float("inf")
 HOLES = {
-    "TIFF": tele("tele.tif", plain("TIFF"), hole=(1 << 31) - 1),
-    "DNG": tele("tele.dng", dng(), hole=(1 << 31) - 1),
+    "TIFF": tele("tele.tif", plain("TIFF"), hole=MAX_FILE_BYTES - 1),
+    "DNG": tele("tele.dng", dng(), hole=MAX_FILE_BYTES - 1),
 }
 TURNED = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]
 
 TRIED = (
-    Tried("TIFF or DNG of 2 GiB that takes no space", each(HOLES), 0),
+    Tried("TIFF or DNG of 1.5 GiB that takes no space", each(HOLES), 0),
     Tried(
         "a link to /dev/zero or into /proc in the place of a photo",
         each(

@@ -194,7 +194,7 @@ TRIED = (
     Tried(
         "TIFF whose strips lie in 250 million places", one(tele("tele.tif", strips_without_end)), 0, "tag 273 states"
     ),
-    Tried("JPEG, PNG or DNG of a terabyte that takes no space", each(TERABYTE), 0, "files of up to 2 GiB are read"),
+    Tried("JPEG, PNG or DNG of a terabyte that takes no space", each(TERABYTE), 0, "files of up to 1.5 GiB are read"),
     Tried("JPEG of 20 000 scans", one(tele("tele.jpg", progressive_jpeg(n_scans=20_000))), 0, "more than 64 scans"),
     Tried("PNG whose text unpacks to 256 MB", one(tele("tele.png", packed_png(1 << 28))), 0),
     Tried(
@@ -212,8 +212,14 @@ TRIED = (
         0,
     ),
     Tried(
-        "truth.pfm of 22000 x 22000 px that takes no space",
-        one(truth(b"Pf\n22000 22000\n-1.0\n", hole=22_000 * 22_000 * 4 + 20)),
+        "truth.pfm of a terabyte that takes no space",
+        one(truth(b"Pf\n20000 20000\n-1.0\n", hole=1 << 40)),
+        0,
+        "files of up to 1.5 GiB are read",
+    ),
+    Tried(
+        "truth.pfm of 20000 x 20000 px that takes no space",
+        one(truth(b"Pf\n20000 20000\n-1.0\n", hole=20_000 * 20_000 * 4 + 20)),
         0,
         "larger than the disparities of any photo",
     ),
