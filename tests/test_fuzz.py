@@ -59,9 +59,11 @@ def test_whole_files_are_read(specimens: dict[str, Kind], name: str, tmp_path: P
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_mutated_files_are_read_or_refused(specimens: dict[str, Kind], name: str, tmp_path: Path) -> None:
+def test_mutated_files_are_read_or_refused(
+    specimens: dict[str, Kind], name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     kind, rng = specimens[name], np.random.default_rng(zlib.crc32(name.encode()))
-    logging.getLogger("telewide").setLevel(logging.ERROR)
+    caplog.set_level(logging.ERROR, "telewide")  # for this test alone
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused: list[TelewideError] = []
     for number in range(N_MUTATIONS):
