@@ -36,9 +36,9 @@ from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.align import ShotFacts, align_photos, shot_precision
 from telewide.stages.calibrate import CalibrateOptions, calibrate_shots
-from telewide.stages.capture_depth import ShotGeometry, depth_on_photo
 from telewide.stages.match import read_matcher
 from telewide.stages.observer import Observer, Silent
+from telewide.stages.photo_depth import ShotGeometry, depth_on_photo
 from telewide.stages.prepare import CorrectedShot, at_working_size, correct_shot
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ def estimate_depth(
     *,
     rig: StoredRig | None = None,
     weights: AnyPath | None = None,
-    method: Method | None = None,
+    method: Method = "network",
     device: Device = "auto",
     facts: CaptureFacts | None = None,
     recipe: Recipe | None = None,
@@ -203,7 +203,7 @@ def estimate_depth(
         photos: as taken.
         rig: of the two lenses; None for photos that are rectified.
         weights: of a trained network; None takes the one that comes with telewide.
-        method: "network", or "sgm" for semi-global matching; None takes the network.
+        method: "network", or "sgm" for semi-global matching.
         device: of the network.
         facts: what is known of the photos besides, such as focal length and baseline where there is no rig.
         recipe: working width, window, corrections, seed; None for the default recipe.
@@ -222,7 +222,6 @@ def estimate_depth(
         >>> depth.disparity.disparity_px.shape == telewide.read_pair("examples/captures/000").tele.shape[:2]
         True
     """
-    method = method or "network"
     recipe = recipe or load_recipe(DEFAULT_RECIPE)
     facts = facts or CaptureFacts(rectified=True if rig is None else None)
     shot = rectify(photos, rig=rig, facts=facts, recipe=recipe)

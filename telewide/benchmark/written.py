@@ -12,9 +12,9 @@ from telewide.geometry.arrays import FloatMap
 from telewide.matching.matcher import Matcher
 from telewide.matching.window import Window, joined_window
 from telewide.recipe import Recipe
-from telewide.stages.capture_depth import depth_on_photo
 from telewide.stages.depth import shot_geometry
 from telewide.stages.pairs import PreparedPair, PreparedSet
+from telewide.stages.photo_depth import depth_on_photo
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder

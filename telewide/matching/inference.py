@@ -139,9 +139,8 @@ def match_with_network(
     check_window(window)
     network.eval()
     hw = ref.shape[:2]
-    gains = network.has_confidence and _detail(src) >= LEAST_DETAIL * _detail(ref)
-    enlarged_hw = _enlarged_hw(hw) if gains else hw
-    if enlarged_hw == hw:
+    enlarged_hw = _enlarged_hw(hw) if network.has_confidence else hw
+    if enlarged_hw == hw or _detail(src) < LEAST_DETAIL * _detail(ref):
         found = _match_views(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)
     else:
         scale = enlarged_hw[1] / hw[1]

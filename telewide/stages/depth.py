@@ -25,10 +25,11 @@ from telewide.options import parse_options
 from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
 from telewide.stages.align import shot_precision
 from telewide.stages.call import Call, alone, record
-from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture
+from telewide.stages.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
 from telewide.stages.observer import Observer
 from telewide.stages.pair_record import RECORD_NAME
 from telewide.stages.pairs import PreparedPair, PreparedSet
+from telewide.stages.photo_depth import ShotGeometry
 from telewide.stages.rig import how_to_calibrate
 from telewide.stages.run_folder import locate_run
 from telewide.stages.training_record import read_training
@@ -259,10 +260,6 @@ def _depth_of(
         told = "EXIF states no distance of the focus (SubjectDistance), so none is used"
         call.observer.warned(f"{item.capture.name}: {told}")
     shot = shot_geometry(item, prepared, matcher=matcher, known=known)
-    try:
-        key = _depth_key(item, matcher, window=window, options=options, shot=shot)
-    except (InputError, UsageError) as error:  # a truth of a size that is not read
-        return DepthFailure(item.source.name, error)
     return depth_of_capture(
         item.source,
         item.held_out,
@@ -271,7 +268,7 @@ def _depth_of(
         match=matcher.match,
         window=window,
         bokeh=options.bokeh,
-        key=key,
+        key=_depth_key(item, matcher, window=window, options=options, shot=shot),
         shot=shot,
         photos=call.photos,
         formats=options.formats,
@@ -314,11 +311,9 @@ def _depth_key(
     shot: ShotGeometry | None,
 ) -> dict[str, object]:
     """Key of all that the files of one capture depend on; the pair's record names photos, facts and correction."""
-    truth = item.source.truth_path
     return {
         "version": metadata.version("telewide"),
         "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
-        "truth_sha256": None if truth is None else fingerprint(truth),
         "matcher": matcher.name,
         "window": window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),

@@ -52,11 +52,11 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None) -> Match
     return matcher
 
 
-def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Matcher:
+def read_matcher(weights: Path, *, method: Method, device: Device) -> Matcher:
     """Read a matcher.
 
     Args:
-        weights: a weights file; None where the method needs none.
+        weights: a weights file; semi-global matching reads none.
         method: how to match.
         device: of a network: auto, cpu or cuda.
 
@@ -64,14 +64,12 @@ def read_matcher(weights: Path | None, *, method: Method, device: Device) -> Mat
         The matcher; its doubt tells of weights whose training is not finished.
 
     Raises:
-        UsageError: a network without weights.
-        InputError: the weights cannot be read.
+        UsageError: the weights do not exist.
+        InputError: they cannot be read.
         MissingPartError: cuda was asked for and is not there.
     """
     if method == "sgm":
         return Matcher("sgm", match_semiglobal)
-    if weights is None:
-        raise UsageError(f"method {method} needs the weights of a network")
     from telewide.matching.inference import choose_device, match_with_network
     from telewide.training.checkpoint import load_weights
 

@@ -28,7 +28,8 @@ from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
-from telewide.stages.capture_depth import DepthFailure, DepthOutcome, ShotGeometry, depth_of_capture, on_photo
+from telewide.stages.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
+from telewide.stages.photo_depth import ShotGeometry, on_photo
 
 HW = (60, 80)
 FACTS = CaptureFacts(rectified=True)

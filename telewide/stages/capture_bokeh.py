@@ -1,0 +1,129 @@
+"""The bokeh picture of one capture: what it is focused on, in which colours, and what is told of it.
+
+Letters: H W image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import metadata
+
+from telewide.bokeh.focus import Focus, find_focus, named_focus
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
+from telewide.capture.carried import CarriedFacts, read_carried
+from telewide.capture.colour_profiles import is_other_than_srgb
+from telewide.capture.exif import read_photo_facts
+from telewide.capture.images import read_image
+from telewide.capture.pair import Capture
+from telewide.capture.pictures import PictureFacts
+from telewide.depth.result import DepthResult
+from telewide.drawing import upright
+from telewide.geometry.arrays import FloatMap
+from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES
+
+
+@dataclass(frozen=True)
+class BokehFiles:
+    """A bokeh picture that is to be written.
+
+    Attributes:
+        pixels: (H, W, 3) float32, upright, in the colours of the photo's profile.
+        facts: what the files say of themselves.
+        names: of the files.
+    """
+
+    pixels: FloatMap
+    facts: PictureFacts
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CaptureBokeh:
+    """Bokeh of one capture, as it was asked for.
+
+    Attributes:
+        files: the picture; None where this shot cannot have it.
+        notes: what it is focused on, or why there is none.
+        numbers: the focus in px, and in metres where they are known.
+    """
+
+    files: BokehFiles | None
+    notes: tuple[str, ...]
+    numbers: dict[str, float]
+
+
+def bokeh_of_capture(
+    photo: FloatMap, result: DepthResult, source: Capture, *, options: BokehOptions, turned_deg: int
+) -> CaptureBokeh:
+    """Make the bokeh picture of one capture.
+
+    Args:
+        photo: (H, W, 3) the tele photo, upright.
+        result: its depth, upright.
+        source: the photos as taken.
+        options: of the picture.
+        turned_deg: how far photo and result were turned clockwise to stand upright.
+
+    Raises:
+        InputError: the photo cannot be read again in its own colours.
+        UsageError: a focus outside of the photo.
+    """
+    refusal = why_no_bokeh(options, baseline_m=result.baseline_m, has_metres=result.depth_m is not None)
+    if refusal is not None:
+        return CaptureBokeh(None, (no_bokeh_note(result.name, refusal),), {})
+    carried, maps, baseline_m = read_carried(source.tele_path), result.disparity, result.baseline_m
+    subject_uv = _upright_place(read_photo_facts(source.tele_path).subject_uv, turned_deg=turned_deg)
+    focus = find_focus(
+        maps.disparity_px,
+        maps.confidence,
+        focus=named_focus(options.focus, subject_uv, hw=(photo.shape[0], photo.shape[1])),
+        disparity_at_m=result.disparity_at,
+    )
+    own = _in_own_colours(photo, source, carried, turned_deg=turned_deg)
+    pixels = bokeh_picture(own, maps, options=options, baseline_m=baseline_m, focus=focus)
+    numbers = _focus_numbers(focus, result)
+    depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
+    note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=options)
+    held_back = held_back_note(result.name, maps.disparity_px, focus, options=options, baseline_m=baseline_m)
+    done = note.removeprefix(f"{result.name}: ")
+    facts = PictureFacts(software=software(), done=done, of_photo=carried, is_stripped=options.is_stripped)
+    files = BokehFiles(pixels, facts, bokeh_names(options))
+    return CaptureBokeh(files, (note,) if held_back is None else (note, held_back), numbers)
+
+
+def _in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, turned_deg: int) -> FloatMap:
+    """The photo in the colours of its profile, which may be wider than sRGB; light adds up in those as well."""
+    if carried.profile is None or not is_other_than_srgb(carried.profile):
+        return photo
+    return upright(read_image(source.tele_path, is_converted=False), rotated_deg=turned_deg)
+
+
+def _upright_place(place_uv: tuple[float, float] | None, *, turned_deg: int) -> tuple[float, float] | None:
+    """A place after clockwise quarter turns of the photo."""
+    for _ in range(turned_deg // 90):
+        place_uv = None if place_uv is None else (1 - place_uv[1], place_uv[0])
+    return place_uv
+
+
+def no_bokeh_note(name: str, why: str) -> str:
+    """Say why a capture has no bokeh picture."""
+    return f"{name}: {BOKEH_NAME} left out: {why}"
+
+
+def bokeh_names(options: BokehOptions | None) -> tuple[str, ...]:
+    """Name the files of a bokeh picture; none where none is asked for."""
+    return () if options is None else tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in options.kinds)
+
+
+def software() -> str:
+    """Name telewide and its version, as files do."""
+    return f"telewide {metadata.version('telewide')}"
+
+
+def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
+    """Focus of the bokeh in numbers; metres only where they are known."""
+    numbers = {"focus_px": focus.disparity_px, "focus_x_px": float(focus.x_px), "focus_y_px": float(focus.y_px)}
+    maps = {"focus_m": result.depth_m, "focus_std_m": result.depth_std_m}
+    metres = {name: float(m[focus.y_px, focus.x_px]) for name, m in maps.items() if m is not None}
+    return numbers | {name: value for name, value in metres.items() if math.isfinite(value)}
