@@ -321,6 +321,12 @@ def cost(ended: Ended) -> str:
     return f"{ended.cpu_s:.1f} s of one core ({ended.wall_s:.1f} s passed), {ended.peak_mb:.0f} MB"
 
 
+def children_s() -> float:
+    """Processor time of all calls that have ended, s."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
 def tell(line: str) -> None:
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
@@ -343,7 +349,10 @@ def main() -> None:
         base.mkdir()
         done(make_world, base)
         for name in sys.argv[1:] or parts:
+            begun_s, before_s = time.monotonic(), children_s()
             parts[name](base)
+            passed_s = time.monotonic() - begun_s
+            tell(f"{name}: {children_s() - before_s:.0f} s of one core in all ({passed_s:.0f} s passed)")
 
 
 if __name__ == "__main__":

@@ -12,20 +12,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from telewide.boards.board import Board, board_points_m, list_boards, load_board
 from telewide.boards.detection import BoardView, detect_board
+from telewide.boards.kept_photos import KeptPhotos
 from telewide.boards.shots import BoardShot
-from telewide.capture.images import read_image
 from telewide.errors import InputError
+from telewide.geometry.arrays import ByteImage
 
 _MAX_SHOTS = 6
 _ENOUGH_PHOTOS = 2
 _LONGEST_PX = 1600
 _FEWEST_CORNERS = 8
 _FLATNESS = 0.02  # of the board's extent in the photo: more than a lens bends it, less than a wrong board is off
-_GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -43,11 +42,12 @@ class RecognisedBoard:
     same_pattern: tuple[str, ...] = ()
 
 
-def recognise_board(shots: Sequence[BoardShot]) -> RecognisedBoard:
+def recognise_board(shots: Sequence[BoardShot], *, photos: KeptPhotos | None = None) -> RecognisedBoard:
     """Find the shipped board that a few of the photos show.
 
     Args:
         shots: the board photos; a few are looked at, spread over all.
+        photos: keeps those that were looked at; None for none.
 
     Returns:
         The board with most corners found.
@@ -58,10 +58,11 @@ def recognise_board(shots: Sequence[BoardShot]) -> RecognisedBoard:
     boards = {name: load_board(name) for name in list_boards()}
     patterns = _patterns(boards)
     corners = dict.fromkeys(patterns, 0)
+    photos = photos or KeptPhotos(max_bytes=0)
     n_seen = 0
     for path in _sample_paths(shots):
         try:
-            grey_u8 = _reduced_grey(path)
+            grey_u8 = _reduced(photos.read_grey(path))
         except InputError:  # the detection says what is wrong with it
             continue
         found = {pattern: _count_corners(grey_u8, boards[names[0]]) for pattern, names in patterns.items()}
@@ -98,7 +99,7 @@ def _sample_paths(shots: Sequence[BoardShot]) -> list[Path]:
     return [path for both in paths for path in both if path is not None]
 
 
-def _count_corners(grey_u8: NDArray[np.uint8], board: Board) -> int:
+def _count_corners(grey_u8: ByteImage, board: Board) -> int:
     view = detect_board(grey_u8, board=board)
     return len(view.ids) if view is not None and _is_flat(view, board) else 0
 
@@ -116,9 +117,8 @@ def _is_flat(view: BoardView, board: Board) -> bool:
     return bool(np.median(off_px) < _FLATNESS * np.ptp(view.points_px, axis=0).max())
 
 
-def _reduced_grey(path: Path) -> NDArray[np.uint8]:
-    image = read_image(path)
-    scale = _LONGEST_PX / max(image.shape[:2])
-    if scale < 1:
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.float32)
-    return np.asarray((image @ _GREY_WEIGHTS) * 255 + 0.5, dtype=np.uint8)
+def _reduced(grey_u8: ByteImage) -> ByteImage:
+    scale = _LONGEST_PX / max(grey_u8.shape)
+    if scale >= 1:
+        return grey_u8
+    return np.asarray(cv2.resize(grey_u8, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from telewide.boards.board import Board
 from telewide.boards.detection import BoardView
+from telewide.boards.kept_photos import KeptPhotos
 from telewide.boards.orientation import alike_numbered, turned_view
 from telewide.boards.pattern import aruco_dictionary
 from telewide.boards.photo_detection import PhotoResult, detect_photos
@@ -112,7 +113,12 @@ def find_board_shots(folder: Path) -> tuple[BoardShot, ...]:
 
 
 def detect_shots(
-    shots: Sequence[BoardShot], *, board: Board, tick: Tick | None = None, processes: int | None = None
+    shots: Sequence[BoardShot],
+    *,
+    board: Board,
+    tick: Tick | None = None,
+    processes: int | None = None,
+    photos: KeptPhotos | None = None,
 ) -> tuple[DetectedShot, ...]:
     """Find the board in every photo, several at a time.
 
@@ -121,6 +127,7 @@ def detect_shots(
         board: what they show.
         tick: called with each shot when it is done, in the order of the shots.
         processes: how many to work with; None takes one per core. The result does not depend on it.
+        photos: those that are kept are not decoded again; None for none.
 
     Returns:
         One for each shot, in their order; a photo that cannot be used is a note.
@@ -132,7 +139,7 @@ def detect_shots(
     if board.kind != "chessboard":
         aruco_dictionary(board)  # its mistakes are the board's, not the photos'
     paths = [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
-    results = detect_photos(paths, board=board, processes=processes)
+    results = detect_photos(paths, board=board, processes=processes, photos=photos)
     detected: list[DetectedShot] = []
     for shot in shots:
         found = {

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from telewide.boards.board import Board, board_points_m, load_board, resized_board
+from telewide.boards.kept_photos import KeptPhotos
 from telewide.boards.photo_facts import with_checked_facts
 from telewide.boards.recognition import recognise_board
 from telewide.boards.shots import BoardShot, detect_shots, find_board_shots
@@ -89,6 +90,7 @@ class SolvedBoards:
         board: what the photos show.
         facts: how the rig was made.
         notes: what a person should know, one sentence each.
+        photos: those that were decoded first, for the page.
     """
 
     shots: tuple[BoardShot, ...]
@@ -96,6 +98,7 @@ class SolvedBoards:
     board: ChosenBoard
     facts: RigFacts
     notes: tuple[str, ...]
+    photos: KeptPhotos
 
 
 def calibrate_boards(boards: Path, *, options: CalibrateOptions, observer: Observer) -> CalibrationRun:
@@ -138,9 +141,12 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
     shots = with_checked_facts(find_board_shots(boards))
     observer.said(f"{counted(len(shots), 'shot')} in {boards}")
     pipeline = common_pipeline(_paths(shots))
-    chosen = _chosen_board(shots, options, observer)
+    photos = _first_photos(shots)
+    chosen = _chosen_board(shots, options, photos=photos, observer=observer)
     tick = observer.detecting(len(shots))
-    detected = detect_shots(shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes)
+    detected = detect_shots(
+        shots, board=chosen.board, tick=lambda _: tick(), processes=options.processes, photos=photos
+    )
     n_tele = sum(shot.tele is not None for shot in detected)
     n_wide = sum(shot.wide is not None for shot in detected)
     observer.said(f"board found in {n_tele} tele and {n_wide} wide photos; calibrating")
@@ -159,7 +165,7 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
         board=chosen.name,
         notes=chosen.notes,
     )
-    return SolvedBoards(shots=shots, calibration=calibration, board=chosen, facts=facts, notes=notes)
+    return SolvedBoards(shots=shots, calibration=calibration, board=chosen, facts=facts, notes=notes, photos=photos)
 
 
 def _orientations(shots: Sequence[BoardShot]) -> tuple[int, int] | None:
@@ -189,12 +195,24 @@ def _paths(shots: Sequence[BoardShot]) -> list[Path]:
     return [path for shot in shots for path in (shot.tele_path, shot.wide_path) if path is not None]
 
 
-def _chosen_board(shots: Sequence[BoardShot], options: CalibrateOptions, observer: Observer) -> ChosenBoard:
+def _first_photos(shots: Sequence[BoardShot]) -> KeptPhotos:
+    """Decode the joint shot in the middle of the series, which the page is to show, and keep it."""
+    photos = KeptPhotos()
+    joint = [(shot.tele_path, shot.wide_path) for shot in shots if shot.tele_path and shot.wide_path]
+    for path in joint[len(joint) // 2] if joint else ():
+        with suppress(TelewideError):  # the detection says what is wrong with it
+            photos.read_grey(path)
+    return photos
+
+
+def _chosen_board(
+    shots: Sequence[BoardShot], options: CalibrateOptions, *, photos: KeptPhotos, observer: Observer
+) -> ChosenBoard:
     others: tuple[str, ...] = ()
     if options.board is not None:
         name, board = options.board, load_board(options.board)
     else:
-        recognised = recognise_board(shots)
+        recognised = recognise_board(shots, photos=photos)
         name, board, others = recognised.name, recognised.board, recognised.same_pattern
         observer.said(f"the photos show the board {name}")
     if options.square_m is not None:
@@ -214,7 +232,7 @@ def _write_report(boards: Path, solved: SolvedBoards, *, options: CalibrateOptio
         "board": f"{chosen.name}, squares of {chosen.board.square_m * 1e3:g} mm ({square})",
         "photos": str(boards),
     }
-    rectified = _rectified_shot(solved.shots, calibration)
+    rectified = _rectified_shot(solved)
     steps = _next_steps(boards, calibration, options)
     page = board_rig_page(calibration, facts=report_facts(options.out, facts), next_steps=steps, rectified=rectified)
     return write_rig_page(report_path(options.out), page)
@@ -246,22 +264,23 @@ def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOption
     return tuple(steps)
 
 
-def _rectified_shot(shots: Sequence[BoardShot], calibration: Calibration) -> RectifiedPreview | None:
-    """The joint shot whose board is at the middle distance, rectified; None where there is none."""
-    used = {(view.shot, view.camera): view for view in calibration.views if view.is_used}
-    by_name = {shot.name: shot for shot in shots if not (shot.tele_turn_deg or shot.wide_turn_deg)}
+def _rectified_shot(solved: SolvedBoards) -> RectifiedPreview | None:
+    """The joint shot whose board is at the middle distance, of those still decoded if any, rectified; None for none."""
+    used = {(view.shot, view.camera): view for view in solved.calibration.views if view.is_used}
+    by_name = {shot.name: shot for shot in solved.shots if not (shot.tele_turn_deg or shot.wide_turn_deg)}
     joint = [name for name, lens in used if lens == "tele" and (name, "wide") in used and name in by_name]
     if not joint:
         return None
-    far_first = sorted(joint, key=lambda name: -_finite(used[name, "tele"].distance_m))
+    kept = [name for name in joint if {by_name[name].tele_path, by_name[name].wide_path} <= solved.photos.paths]
+    far_first = sorted(kept or joint, key=lambda name: -_finite(used[name, "tele"].distance_m))
     shot = by_name[far_first[len(far_first) // 2]]
     if shot.tele_path is None or shot.wide_path is None:
         return None
     try:
-        photos = read_photos(Capture(shot.name, shot.tele_path, shot.wide_path))
+        photos = read_photos(Capture(shot.name, shot.tele_path, shot.wide_path), read=solved.photos.read_colour)
     except TelewideError:
         return None
-    return rectified_preview(photos, rig=calibration.rig)
+    return rectified_preview(photos, rig=solved.calibration.rig)
 
 
 def _finite(value: float) -> float:

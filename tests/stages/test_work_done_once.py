@@ -10,17 +10,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from photographed_boards import write_board_photos
 
 import telewide.capture.exif
 import telewide.capture.images
 import telewide.files
 import telewide.points.matches
+from telewide.boards.kept_photos import KeptPhotos
+from telewide.boards.photo_detection import read_grey
 from telewide.bokeh.picture import BokehOptions
 from telewide.capture.pair import find_captures
 from telewide.capture.photo_store import PhotoStore
 from telewide.pipeline import run_captures
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
+from telewide.stages.calibrate import CalibrateOptions, calibrate_boards
 from telewide.stages.depth import DepthOptions
 from telewide.stages.observer import Silent
 
@@ -72,3 +76,30 @@ def test_photos_are_kept_within_the_budget(captures: Path, monkeypatch: pytest.M
         np.testing.assert_array_equal(store.read(path), expected[path])
     assert decoded == {first: 1, second: 2}
     assert store.kept_bytes == expected[first].nbytes
+
+
+@pytest.mark.parametrize("board", [None, pytest.param("chessboard_9x6", marks=pytest.mark.slow)])
+def test_a_calibration_decodes_each_board_photo_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, board: str | None
+) -> None:
+    """Recognition, detection and the page share what one of them has decoded."""
+    boards = write_board_photos(tmp_path / "boards", count=4)
+    decoded = counted(monkeypatch, telewide.capture.images, "_decoded", lambda path, *_: path)
+    options = CalibrateOptions(board=board, out=tmp_path / "rig.yaml", processes=1)
+    run = calibrate_boards(boards, options=options, observer=Silent())
+    assert "A rectified pair" in run.report.read_text(encoding="utf-8")
+    assert decoded == dict.fromkeys(boards.glob("*/*.png"), 1)
+
+
+def test_board_photos_are_kept_within_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = sorted(write_board_photos(tmp_path, count=1).glob("*/*.png"))
+    decoded = counted(monkeypatch, telewide.capture.images, "_decoded", lambda path, *_: path)
+    photos = KeptPhotos(max_bytes=4 * read_grey(first).size)
+    decoded.clear()
+    for path in (first, second, first, second):
+        grey = photos.read_grey(path)
+    assert photos.paths == {first}
+    assert photos.kept_bytes == 4 * photos.read_grey(first).size
+    assert decoded == {first: 1, second: 2}
+    np.testing.assert_array_equal(grey, read_grey(second))
+    np.testing.assert_allclose(photos.read_colour(first), telewide.capture.images.read_image(first), atol=0.5 / 255)
