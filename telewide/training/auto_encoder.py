@@ -74,7 +74,14 @@ class AutoEncoder(nn.Module):
         return pictures
 
 
-def auto_encoder_terms(space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, disparity_px_BHW: Tensor) -> NamedTerms:
+def auto_encoder_terms(
+    space: nn.Module,
+    ref_BCHW: Tensor,
+    src_BCHW: Tensor,
+    *,
+    disparity_px_BHW: Tensor,
+    valid: tuple[Tensor, Tensor] | None = None,
+) -> NamedTerms:
     """Rebuild both views, with features that lead somewhere.
 
     Args:
@@ -82,6 +89,7 @@ def auto_encoder_terms(space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, 
         ref_BCHW: (B, 3, H, W) in [0, 1].
         src_BCHW: (B, 3, H, W) in [0, 1].
         disparity_px_BHW: not looked at.
+        valid: (B, H, W) bool each, where ref and src were photographed; other pixels do not count. None for all.
 
     Raises:
         TypeError: for another module.
@@ -90,51 +98,78 @@ def auto_encoder_terms(space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, 
         raise TypeError("the losses of an auto-encoder need one")
     image = torch.cat((ref_BCHW, src_BCHW))
     if not len(image):  # this process has no real crop of the joint batch
-        nothing = disparity_px_BHW.sum()
-        return [(name, Term(nothing, nothing)) for name in ("rebuilt", "discriminative", "convergent")]
+        nothing = Term(disparity_px_BHW.sum(), disparity_px_BHW.sum())
+        n_slopes = 2 * len(ENCODER_WIDTHS)
+        names = ["rebuilt"] * 2 * SCALES + ["discriminative"] * n_slopes + ["convergent"] * n_slopes
+        return [(name, nothing) for name in names]
+    mask = torch.ones_like(image[:, 0], dtype=torch.bool) if valid is None else torch.cat(valid)
     maps = space(image)
-    count = torch.tensor(float(len(image)), device=image.device)
-    rebuilt = torch.stack([_reconstruction(picture, image) for picture in space.decode(maps[-1])]).mean()
-    slopes, bends = zip(*(slope_and_bend(level, _resized(image, level)) for level in maps), strict=True)
-    levels = len(maps)
-    slope = sum((s * 2.0**-i / levels for i, s in enumerate(slopes)), start=rebuilt.new_zeros(()))
-    bend = sum((b * 2.0**-i / levels for i, b in enumerate(bends)), start=rebuilt.new_zeros(()))
-    return [
-        ("rebuilt", Term(count * rebuilt, count)),
-        ("discriminative", Term(-DISCRIMINATIVE * count * slope, count)),
-        ("convergent", Term(CONVERGENT * count * bend, count)),
-    ]
+    terms: NamedTerms = []
+    for picture in space.decode(maps[-1]):
+        parts = _reconstruction(picture, _resized(image, picture), mask_BHW=_within_cells(mask, picture))
+        terms += [("rebuilt", _weighed(1 / SCALES, part)) for part in parts]
+    for order, name, weight in ((1, "discriminative", -DISCRIMINATIVE), (2, "convergent", CONVERGENT)):
+        for level, features in enumerate(maps):
+            share = weight * 2.0**-level / len(maps)
+            steps = differences(
+                features, _resized(image, features), order=order, mask_BHW=_within_cells(mask, features)
+            )
+            terms += [(name, _weighed(share, step)) for step in steps]
+    return terms
 
 
-def _reconstruction(picture: Tensor, image: Tensor) -> Tensor:
-    """``0.85 (1 - SSIM) / 2 + 0.15 sqrt(e^2 + 1e-6)``, mean over all."""
+def _weighed(weight: float, term: Term) -> Term:
+    return Term(weight * term.total, term.count)
+
+
+def _reconstruction(picture: Tensor, target: Tensor, *, mask_BHW: Tensor) -> tuple[Term, Term]:
+    """``0.85 (1 - SSIM) / 2``, and ``0.15 sqrt(e^2 + 1e-6)``: means over channels, sums over the pixels of a mask."""
     picture = at_least_float32(picture)
-    target = _resized(image, picture)
-    robust = ((picture - target).square() + ROOT_FLOOR).sqrt().mean()
-    if min(picture.shape[-2:]) < 3:  # no whole window
-        return robust
-    return SSIM_SHARE * (1 - ssim(picture, target)).mean() / 2 + (1 - SSIM_SHARE) * robust
+    robust = ((picture - target).square() + ROOT_FLOOR).sqrt().mean(dim=1)
+    unlike = (1 - ssim(picture, target)).mean(dim=1) / 2
+    windows = _none_outside(mask_BHW, cells=3, stride=1)
+    return _masked(SSIM_SHARE * unlike, windows), _masked((1 - SSIM_SHARE) * robust, mask_BHW)
 
 
-def slope_and_bend(features_BCHW: Tensor, image_BCHW: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean first and second differences of features, each less where those of the picture are large.
+def differences(
+    features_BCHW: Tensor, image_BCHW: Tensor, *, order: int, mask_BHW: Tensor | None = None
+) -> tuple[Term, Term]:
+    """First or second differences of features along x and along y, each less where those of the picture are large.
 
-    ``|dF| exp(-|dI|)`` and ``|ddF| exp(-|ddI|)``, along x plus along y (FeatDepth, eq. 5 and 6).
+    ``|dF| exp(-|dI|)`` and ``|ddF| exp(-|ddI|)``, means over the channels (FeatDepth, eq. 5 and 6).
 
     Args:
         features_BCHW: (B, C, H, W).
         image_BCHW: (B, 3, H, W) of the same size; differences are means over its channels.
+        order: 1 or 2.
+        mask_BHW: (B, H, W) bool, the pixels between which differences count; None for all.
     """
     features, image = at_least_float32(features_BCHW), at_least_float32(image_BCHW)
-    sums = []
-    for order in (1, 2):
-        parts = []
-        for axis in (-1, -2):
-            of_features, of_image = torch.diff(features, n=order, dim=axis), torch.diff(image, n=order, dim=axis)
-            weight = torch.exp(-of_image.abs().mean(dim=1, keepdim=True))
-            parts.append((of_features.abs() * weight).mean() if weight.numel() else features.new_zeros(()))
-        sums.append(parts[0] + parts[1])
-    return sums[0], sums[1]
+    mask = torch.ones_like(image[:, 0], dtype=torch.bool) if mask_BHW is None else mask_BHW
+    along_x, along_y = (
+        _masked(
+            torch.diff(features, n=order, dim=axis).abs().mean(dim=1)
+            * torch.exp(-torch.diff(image, n=order, dim=axis).abs().mean(dim=1)),
+            mask.unfold(axis, order + 1, 1).all(dim=-1) if mask.shape[axis] > order else mask.narrow(axis, 0, 0),
+        )
+        for axis in (-1, -2)
+    )
+    return along_x, along_y
+
+
+def _masked(difference_BHW: Tensor, mask_BHW: Tensor) -> Term:
+    return Term((difference_BHW * mask_BHW).sum(), mask_BHW.sum().to(difference_BHW.dtype))
+
+
+def _within_cells(mask_BHW: Tensor, like: Tensor) -> Tensor:
+    """(B, h, w) bool, the cells of a smaller map all of whose pixels are in the mask."""
+    cells = mask_BHW.shape[-1] // like.shape[-1]
+    return _none_outside(mask_BHW, cells=cells, stride=cells)
+
+
+def _none_outside(mask_BHW: Tensor, *, cells: int, stride: int) -> Tensor:
+    outside = functional.max_pool2d((~mask_BHW)[:, None].float(), cells, stride=stride)
+    return outside[:, 0] == 0
 
 
 def _resized(image: Tensor, like: Tensor) -> Tensor:

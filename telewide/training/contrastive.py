@@ -21,6 +21,10 @@ MARGIN = 0.5
 """Distance from which on another point does not matter."""
 NEGATIVE_OFFSETS_PX = (4, 8, 12, 18, 25, -4, -8, -12, -18, -25)
 """Where the ten other points of a pixel lie, along the row of src."""
+_WHOLLY = 0.999  # of a warped mask
+
+
+Valid = tuple[Tensor, Tensor]
 
 
 class ContrastiveFeatures(nn.Module):
@@ -49,7 +53,9 @@ def _double(x: Tensor) -> Tensor:
     return functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
 
-def contrastive_terms(space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, disparity_px_BHW: Tensor) -> NamedTerms:
+def contrastive_terms(
+    space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, disparity_px_BHW: Tensor, valid: Valid | None = None
+) -> NamedTerms:
     """Draw matches together and others apart.
 
     Args:
@@ -57,28 +63,41 @@ def contrastive_terms(space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, d
         ref_BCHW: (B, 3, H, W) in [0, 1].
         src_BCHW: (B, 3, H, W) in [0, 1].
         disparity_px_BHW: (B, H, W) matches of a network, px.
+        valid: (B, H, W) bool each, where ref and src were photographed; None where they are whole.
     """
     views = torch.cat([prepare_view(space, view) for view in (ref_BCHW, src_BCHW)])
     ref, src = space(views)[0].chunk(2) if len(views) else (views, views)
-    return [("contrastive", contrastive_loss(ref, src, disparity_px_BHW))]
+    return [("contrastive", contrastive_loss(ref, src, disparity_px_BHW, valid=valid))]
 
 
-def contrastive_loss(ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tensor) -> Term:
+def contrastive_loss(
+    ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tensor, *, valid: Valid | None = None
+) -> Term:
     """``d^2 / 2`` of a match plus the mean of ``max(0, 0.5 - d)^2 / 2`` of the others, d the distance of two vectors.
 
     Args:
         ref_BCHW: (B, C, H, W) vectors of ref.
         src_BCHW: (B, C, H, W) vectors of src.
         disparity_px_BHW: (B, H, W) matches, px of this map.
+        valid: (B, H, W) bool each, where ref and src were photographed; other points do not count. None for all.
     """
-    apart = _distance(ref_BCHW, src_BCHW, disparity_px_BHW)
-    total = (0.5 * apart.square() * is_inside_src(disparity_px_BHW)).sum()
+    apart, counts = _distance(ref_BCHW, src_BCHW, disparity_px_BHW), _counts(disparity_px_BHW, valid)
+    total = (0.5 * apart.square() * counts).sum()
     for offset_px in NEGATIVE_OFFSETS_PX:
         other_px = disparity_px_BHW + offset_px
         apart = _distance(ref_BCHW, src_BCHW, other_px)
-        pushed = 0.5 * (MARGIN - apart).clamp(min=0).square() * is_inside_src(other_px)
+        pushed = 0.5 * (MARGIN - apart).clamp(min=0).square() * _counts(other_px, valid)
         total = total + pushed.sum() / len(NEGATIVE_OFFSETS_PX)
-    return Term(total, is_inside_src(disparity_px_BHW).sum().to(total.dtype))
+    return Term(total, counts.sum().to(total.dtype))
+
+
+def _counts(disparity_px_BHW: Tensor, valid: Valid | None) -> Tensor:
+    """(B, H, W) bool, the pixels of ref whose point of src lies inside it and was photographed, as they were."""
+    inside = is_inside_src(disparity_px_BHW)
+    if valid is None:
+        return inside
+    ref_BHW, src_BHW = valid
+    return inside & ref_BHW & (warp_to_ref(src_BHW[:, None].float(), disparity_px_BHW)[:, 0] > _WHOLLY)
 
 
 def _distance(ref: Tensor, src: Tensor, disparity_px: Tensor) -> Tensor:

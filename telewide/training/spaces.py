@@ -24,9 +24,20 @@ from telewide.training.stages import Stage
 
 
 class SpaceLoss(Protocol):
-    """Named losses that teach a space on views (B, 3, H, W), with the disparity (B, H, W) of ref where it is needed."""
+    """Named losses that teach a space on views (B, 3, H, W), with the disparity (B, H, W) of ref where it is needed.
 
-    def __call__(self, space: nn.Module, ref_BCHW: Tensor, src_BCHW: Tensor, *, disparity_px_BHW: Tensor) -> NamedTerms:
+    Masks (B, H, W) of both views say what was photographed; None where all was.
+    """
+
+    def __call__(
+        self,
+        space: nn.Module,
+        ref_BCHW: Tensor,
+        src_BCHW: Tensor,
+        *,
+        disparity_px_BHW: Tensor,
+        valid: tuple[Tensor, Tensor] | None = None,
+    ) -> NamedTerms:
         """Compare the views of one step."""
         ...
 
@@ -64,6 +75,9 @@ def space_objective(
 ) -> tuple[Tensor, dict[str, float]]:
     """Add up what teaches a feature space on a batch.
 
+    What no photo shows has no say: it is painted over with the mean of the rest, since features look around, and
+    no loss counts it.
+
     Args:
         space: the module that learns.
         batch: real crops.
@@ -75,12 +89,28 @@ def space_objective(
     Returns:
         The scalar to differentiate, and the parts for the log.
     """
-    ref, src = batch.views(is_symmetric=stage.options.symmetric_loss)
+    ref, src = _photographed(batch, is_symmetric=stage.options.symmetric_loss)
     disparity_px = torch.zeros_like(batch.truth_px_BHW)
     if SPACES[stage.space].needs_matches and len(ref):
-        shown = batch.views(is_symmetric=stage.options.symmetric_input)
+        shown = _photographed(batch, is_symmetric=stage.options.symmetric_input)
         with torch.no_grad():
             prepared = (prepare_view(network.features, view) for view in shown)
             disparity_px = network.eval()(*prepared, window).disparity_px
-    terms = SPACES[stage.space].terms(space, ref, src, disparity_px_BHW=disparity_px)
+    terms = SPACES[stage.space].terms(space, ref, src, disparity_px_BHW=disparity_px, valid=batch.valid)
     return add_up([(name, 1.0, term) for name, term in terms], global_sum=global_sum)
+
+
+def _photographed(batch: Batch, *, is_symmetric: bool) -> tuple[Tensor, Tensor]:
+    """Both views (B, 3, H, W), the mean of what was photographed wherever nothing was."""
+    ref, src = batch.views(is_symmetric=is_symmetric)
+    if batch.valid is None:
+        return ref, src
+    return _painted_over(ref, batch.valid[0]), _painted_over(src, batch.valid[1])
+
+
+def _painted_over(view_BCHW: Tensor, valid_BHW: Tensor) -> Tensor:
+    valid = valid_BHW[:, None]
+    mean = torch.where(valid, view_BCHW, 0.0).sum(dim=(-2, -1), keepdim=True) / valid.sum(
+        dim=(-2, -1), keepdim=True
+    ).clamp(min=1)
+    return torch.where(valid, view_BCHW, mean)

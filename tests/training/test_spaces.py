@@ -8,14 +8,19 @@ import torch
 from training.small import CROP_HW, WINDOW, rendered, stage_of, tensor_of
 
 from telewide.matching.networks import build_network, comparable_map, prepare_view
-from telewide.training.auto_encoder import AutoEncoder, slope_and_bend
+from telewide.training.auto_encoder import AutoEncoder, auto_encoder_terms, differences
 from telewide.training.contrastive import NEGATIVE_OFFSETS_PX, contrastive_loss
+from telewide.training.losses import Term
 from telewide.training.objective import Batch
 from telewide.training.spaces import SPACES, build_space, space_objective
 
 
 def rand(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def mean_of(term: Term) -> float:
+    return float(term.total / term.count)
 
 
 def test_the_contrastive_loss_is_its_formula() -> None:
@@ -49,16 +54,26 @@ def test_slopes_and_bends_are_differences_that_the_picture_excuses() -> None:
     """First and second differences times ``exp(-|that of the picture|)``: by hand, of a ramp, and of a parabola."""
     features, image = rand(2, 4, 6, 7), rand(2, 3, 6, 7, seed=1)
     f, i = features.numpy(), image.numpy()
-    for order, found in zip((1, 2), slope_and_bend(features, image), strict=True):
-        expected = 0.0
-        for axis in (2, 3):
+    for order in (1, 2):
+        for axis, found in zip((3, 2), differences(features, image, order=order), strict=True):
             weight = np.exp(-np.abs(np.diff(i, n=order, axis=axis)).mean(axis=1, keepdims=True))
-            expected += (np.abs(np.diff(f, n=order, axis=axis)) * weight).mean()
-        assert float(found) == pytest.approx(expected)
+            expected = (np.abs(np.diff(f, n=order, axis=axis)) * weight).mean()
+            assert mean_of(found) == pytest.approx(expected)
     x = torch.arange(7, dtype=torch.float64).expand(1, 1, 6, 7)
     flat = torch.zeros(1, 3, 6, 7, dtype=torch.float64)
-    assert [float(v) for v in slope_and_bend(2 * x, flat)] == pytest.approx([2.0, 0.0])
-    assert float(slope_and_bend(x * x, flat)[1]) == pytest.approx(2.0)
+    assert [mean_of(step) for step in differences(2 * x, flat, order=1)] == pytest.approx([2.0, 0.0])
+    assert [mean_of(bend) for bend in differences(x * x, flat, order=2)] == pytest.approx([2.0, 0.0])
+
+
+def test_differences_across_the_border_of_a_mask_do_not_count() -> None:
+    """Two plateaus and the step between them: the slope is 0 where only one of them was photographed."""
+    features = torch.zeros(1, 1, 4, 8, dtype=torch.float64)
+    features[..., 5:] = 3.0
+    photographed = torch.arange(8).expand(1, 4, 8) < 5
+    for order, counts in ((1, 4 * 4), (2, 4 * 3)):
+        along_x, _ = differences(features, torch.zeros(1, 3, 4, 8), order=order, mask_BHW=photographed)
+        assert (float(along_x.total), float(along_x.count)) == (0.0, counts)
+        assert float(differences(features, torch.zeros(1, 3, 4, 8), order=order)[0].total) > 0
 
 
 @pytest.mark.parametrize(("name", "shape"), [("contrastive", (2, 3, 64, 96)), ("auto-encoder", (2, 64, 32, 48))])
@@ -109,3 +124,13 @@ def test_a_space_is_learned(name: str) -> None:
         assert sum(parts.values()) == pytest.approx(losses[-1], rel=1e-4)
     assert losses[-1] < losses[0] - 0.05 * abs(losses[0])
     assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))
+
+
+def test_an_auto_encoder_without_crops_has_the_terms_of_one_with_crops() -> None:
+    """Processes add their terms up one by one; one of them may have no real crop of the joint batch."""
+    space = AutoEncoder().eval()
+    names = []
+    for crops in (0, 1):
+        view, disparity_px = torch.rand(crops, 3, 64, 64), torch.zeros(crops, 64, 64)
+        names.append([name for name, _ in auto_encoder_terms(space, view, view, disparity_px_BHW=disparity_px)])
+    assert names[0] == names[1]

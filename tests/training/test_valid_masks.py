@@ -15,9 +15,12 @@ from telewide.capture.pair import Capture, read_pair
 from telewide.geometry.arrays import BoolMap
 from telewide.matching.networks import NetworkOutput, build_network
 from telewide.training.checkpoint import frozen_extractor
+from telewide.training.contrastive import contrastive_loss
 from telewide.training.data import StepBatches, collate
 from telewide.training.objective import Batch, objective
 from telewide.training.samples import SampleSource, SeenPhotos, crop_capture, generator_for, inner_rectangle
+from telewide.training.spaces import SPACES, build_space, space_objective
+from telewide.training.stages import Stage
 
 HW = (96, 144)
 PAINTS = ((1.0, 0.0, 1.0), (0.0, 1.0, 0.0))
@@ -151,3 +154,51 @@ def test_a_whole_crop_beside_a_masked_one_counts_everywhere(tmp_path: Path) -> N
     assert not valid[0][0].all()
     assert valid[0][1].all()
     assert valid[1][1].all()
+
+
+def space_step(name: str, batch: Batch) -> tuple[float, dict[str, torch.Tensor]]:
+    """What teaches a feature space, and its gradient at every weight."""
+    batch = Batch(
+        *(view[..., :64, :128] for view in (batch.ref_BCHW, batch.src_BCHW)),
+        batch.truth_px_BHW[:, :64, :128],
+        0,
+        valid=batch.valid and (batch.valid[0][:, :64, :128], batch.valid[1][:, :64, :128]),
+    )
+    space = build_space(name, seed=3).train()
+    stage = Stage("space", 0, stage_of(steps=1, captured=1).options, name)  # type: ignore[arg-type]
+    network = build_network("lite", seed=2)
+    loss, _ = space_objective(space, batch, stage, network=network, window=WINDOW, global_sum=lambda x: x)
+    torch.autograd.backward(loss)
+    return float(loss.detach()), {key: p.grad for key, p in space.named_parameters() if p.grad is not None}
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_a_feature_space_learns_the_same_whatever_is_painted(name: str) -> None:
+    losses, gradients = zip(*(space_step(name, batch_of(paint, has_masks=True)) for paint in PAINTS), strict=True)
+    assert losses[0] == losses[1]
+    assert gradients[0].keys() == gradients[1].keys()
+    assert all(torch.equal(gradients[0][key], gradients[1][key]) for key in gradients[0])
+    without = [space_step(name, batch_of(paint, has_masks=False))[0] for paint in PAINTS]
+    assert without[0] != pytest.approx(without[1], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", SPACES)
+def test_masks_of_whole_crops_teach_a_feature_space_nothing_else(name: str) -> None:
+    plain = batch_of(PAINTS[0], has_masks=False)
+    everywhere = torch.ones(1, *HW, dtype=torch.bool)
+    whole = Batch(plain.ref_BCHW, plain.src_BCHW, plain.truth_px_BHW, 0, valid=(everywhere, everywhere))
+    assert space_step(name, whole)[0] == pytest.approx(space_step(name, plain)[0], rel=1e-6)
+
+
+def test_what_lies_outside_a_mask_pulls_at_no_feature() -> None:
+    """The contrastive loss at the features themselves: no gradient where ref was not photographed, or its partner."""
+    valid_ref, valid_src = (torch.from_numpy(mask)[None] for mask in masks())
+    ref, src = (torch.rand(1, 3, *HW, generator=torch.Generator().manual_seed(n)).requires_grad_() for n in (1, 2))
+    disparity_px = torch.from_numpy(rendered(0, hw=HW).disparity_px)[None]
+    term = contrastive_loss(ref, src, disparity_px, valid=(valid_ref, valid_src))
+    for gradient, valid in zip(torch.autograd.grad(term.total, (ref, src)), (valid_ref, valid_src), strict=True):
+        pull = gradient.abs().sum(dim=1)
+        pulled = pull > 2e-3 * pull.max()  # a partner is taken that lies between pixels by up to a thousandth
+        assert not pulled[~valid].any()
+        assert pulled[valid].float().mean() > 0.7
+    assert 0 < float(term.count) < float(contrastive_loss(ref, src, disparity_px).count)
