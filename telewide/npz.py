@@ -48,6 +48,25 @@ def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) 
         raise InputError(f"{path} is damaged: {error}") from error
 
 
+def names_in_npz(path: Path) -> frozenset[str]:
+    """Names of the arrays that an ``.npz`` holds, unread.
+
+    Args:
+        path: the file.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is damaged.
+    """
+    try:
+        with open_regular(path) as stream, open_archive(stream) as archive:
+            return frozenset(name.removesuffix(".npy") for name in archive.namelist())
+    except (TelewideError, MemoryError):
+        raise
+    except Exception as error:  # zipfile fails on damaged files in several ways
+        raise InputError(f"{path} is damaged: {error}") from error
+
+
 def read_npy(path: Path, *, most_bytes: int = MOST_BYTES) -> NDArray[np.generic]:
     """Read the array of an ``.npy`` file as :func:`read_npz` reads those of an ``.npz``.
 

@@ -24,7 +24,7 @@ from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.correction.blur import BlurEstimate
 from telewide.correction.verdict import PairReport
-from telewide.depth.formats.numpy_archive import read_disparity
+from telewide.depth.formats.numpy_archive import read_result
 from telewide.geometry.rectification import rectified_geometry
 from telewide.recipe import load_recipe
 from telewide.records import checked, read_json
@@ -122,7 +122,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "YAML": Kind(_yaml(folder), _read_yaml, is_text=True),
         "JSON": Kind(_json(), _read_json, is_text=True),
         "PFM": Kind(_pfm(folder), read_pfm),
-        "NPZ": Kind(_npz(), read_disparity),
+        "NPZ": Kind(_npz(), lambda path: read_result(path, name="one")),
         "weights": Kind(_weights(folder), _read_weights),
         "state": Kind(_state(folder), _read_state),
     }
@@ -260,7 +260,9 @@ def _npz() -> dict[str, bytes]:
     for name, save in (("depth.npz", np.savez), ("packed.npz", np.savez_compressed)):
         stream = BytesIO()
         disparity_px = np.linspace(0, 9, 12, dtype=np.float32).reshape(3, 4)
-        save(stream, disparity=disparity_px, confidence=disparity_px / 9, valid=disparity_px > 3)
+        maps = {"disparity": disparity_px, "confidence": disparity_px / 9, "depth_m": disparity_px + 1}
+        camera = {"K": np.eye(3), "baseline_m": np.array(0.012), "doffs_px": np.array(1.0)}
+        save(stream, valid=disparity_px > 3, **maps, **camera)
         files[name] = stream.getvalue()
     return files
 

@@ -234,6 +234,7 @@ class TestNothingIsDoneTwice:
         assert written_ns(run) == stamps
         json_of(capsys, *words, "--bokeh", "--focus", "near")
         assert written_ns(run)["000"] != stamps["000"]
+        assert (run / "depth" / "000" / "depth.npz").stat().st_mtime_ns in stamps["000"], "not matched again"
         stamps = written_ns(run)
         (run / "depth" / "001" / "depth.npz").unlink()
         json_of(capsys, *words, "--bokeh", "--focus", "near")

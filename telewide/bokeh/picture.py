@@ -5,8 +5,11 @@ Letters: H W image.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+import cv2
+import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import AF_WORD, Focus, find_focus, named_distance_m, named_point
@@ -20,13 +23,15 @@ from telewide.bokeh.render import (
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet
 from telewide.depth.precision_notes import away_words
+from telewide.drawing import scaled_image
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, resize_disparity
 
 PictureKind = Literal["jpg", "tif"]
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
+PREVIEW_SHRINKS = 4
 HELD_BACK = "the strongest blur is held"
 """Words of :func:`held_back_note`."""
 
@@ -46,6 +51,7 @@ class BokehOptions:
         highlights: how many times as bright as white small clipped lights are taken to have been.
         kinds: of the files it is written to: "jpg", "tif" with 16 bits.
         is_stripped: whether the files are to say nothing of the photo but its colour profile.
+        is_preview: whether a small picture is enough, `PREVIEW_SHRINKS` times fewer pixels along each side.
     """
 
     focus: str = "auto"
@@ -57,6 +63,7 @@ class BokehOptions:
     highlights: float = 1.0
     kinds: tuple[PictureKind, ...] = ("jpg",)
     is_stripped: bool = False
+    is_preview: bool = False
 
     @property
     def has_stated_strength(self) -> bool:
@@ -208,6 +215,43 @@ def bokeh_picture(
         sharp_px=focus.sharp_px,
         aperture=options.aperture,
         highlights=options.highlights,
+    )
+
+
+def bokeh_preview(
+    photo: FloatMap, disparity: DisparityMap, *, options: BokehOptions, baseline_m: float | None, focus: Focus
+) -> FloatMap:
+    """Blur a photo made smaller as :func:`bokeh_picture` would blur the photo: for trying focus and strength.
+
+    Args:
+        photo: (H, W, 3) tele, sRGB.
+        disparity: on the photo.
+        options: focus and strength, px of the photo.
+        baseline_m: distance of the lenses, m; needed for an f-number.
+        focus: what is sharp, on the photo.
+
+    Returns:
+        (h, w, 3) sRGB, sides `PREVIEW_SHRINKS` times shorter.
+
+    Raises:
+        UsageError: an f-number without the distance of the lenses.
+    """
+    height, width = disparity.disparity_px.shape
+    wh = max(round(width / PREVIEW_SHRINKS), 1), max(round(height / PREVIEW_SHRINKS), 1)
+    scale = wh[0] / width
+    confidence, valid = (
+        np.asarray(cv2.resize(each.astype(np.float32), wh, interpolation=cv2.INTER_NEAREST_EXACT), dtype=np.float32)
+        for each in (disparity.confidence, disparity.valid)
+    )
+    small = DisparityMap(resize_disparity(disparity.disparity_px, wh=wh), confidence, valid > 0)
+    sharp_px = None if focus.sharp_px is None else (scale * focus.sharp_px[0], scale * focus.sharp_px[1])
+    strength_px = None if options.strength_px is None else scale * options.strength_px
+    return bokeh_picture(
+        scaled_image(photo, wh=wh),
+        small,
+        options=replace(options, strength_px=strength_px),
+        baseline_m=baseline_m,
+        focus=replace(focus, disparity_px=scale * focus.disparity_px, sharp_px=sharp_px),
     )
 
 

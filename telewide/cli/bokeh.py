@@ -45,6 +45,9 @@ PictureOption = Annotated[
 StripOption = Annotated[
     bool, typer.Option("--strip", help="Leave EXIF, GPS, date and XMP of the photo out of the bokeh.")
 ]
+PreviewOption = Annotated[
+    bool, typer.Option("--preview", help="A small bokeh_preview.jpg in an instant, for trying focus and blur.")
+]
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class BokehWords:
     highlights: float = 1.0
     picture: str | None = None
     strip: bool = False
+    preview: bool = False
 
     @classmethod
     def of_call(cls, context: typer.Context) -> BokehWords:
@@ -84,6 +88,8 @@ class BokehWords:
                 raise UsageError(f"{name} {value}: a number above 0 was expected")
         if not 1 <= self.highlights <= MAX_TIMES:
             raise UsageError(f"--highlights {self.highlights}: a factor from 1 to {MAX_TIMES:g} was expected")
+        if self.preview and self.picture is not None:
+            raise UsageError("--preview writes a small JPEG; --picture names files of the full size")
         strength_px, strength_share = (None, None) if self.strength is None else _strength(self.strength)
         return BokehOptions(
             focus=self.focus,
@@ -95,6 +101,7 @@ class BokehWords:
             highlights=self.highlights,
             kinds=("jpg",) if self.picture is None else _kinds(self.picture),
             is_stripped=self.strip,
+            is_preview=self.preview,
         )
 
     def options_if(self, *, is_asked: bool) -> BokehOptions | None:
@@ -110,8 +117,8 @@ class BokehWords:
             return self.options()
         if self != BokehWords():
             raise UsageError(
-                "--focus, --f-number, --equiv-focal, --strength, --blades, --highlights, --picture and --strip shape "
-                "the bokeh picture",
+                "--focus, --f-number, --equiv-focal, --strength, --blades, --highlights, --picture, --strip and "
+                "--preview shape the bokeh picture",
                 hint="add --bokeh",
             )
         return None

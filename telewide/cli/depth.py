@@ -27,6 +27,7 @@ from telewide.cli.bokeh import (
     FocusOption,
     HighlightsOption,
     PictureOption,
+    PreviewOption,
     StrengthOption,
     StripOption,
 )
@@ -42,7 +43,10 @@ if TYPE_CHECKING:
     from telewide.cli.progress import ConsoleObserver
     from telewide.stages.depth import DepthOptions, DepthRun
 
-DEPTH_EPILOG = "Example: `telewide depth --bokeh --focus near`; without a network: `telewide depth --method sgm`"
+DEPTH_EPILOG = (
+    "Example: `telewide depth --bokeh --preview --focus near`, and without `--preview` once it pleases; without a "
+    "network: `telewide depth --method sgm`"
+)
 
 
 def depth(
@@ -64,6 +68,7 @@ def depth(
     highlights: HighlightsOption = 1.0,
     picture: PictureOption = None,
     strip: StripOption = False,
+    preview: PreviewOption = False,
     rig: RigOption = None,
     distance: DistanceOption = None,
     formats: FormatOption = None,

@@ -28,6 +28,7 @@ from telewide.cli.bokeh import (
     FocusOption,
     HighlightsOption,
     PictureOption,
+    PreviewOption,
     StrengthOption,
     StripOption,
 )
@@ -53,6 +54,7 @@ def run_everything(
     highlights: HighlightsOption = 1.0,
     picture: PictureOption = None,
     strip: StripOption = False,
+    preview: PreviewOption = False,
     rig: RigOption = None,
     distance: DistanceOption = None,
     formats: FormatOption = None,

@@ -33,6 +33,7 @@ from telewide.training.stages import plan_stages
 
 _log = logging.getLogger("telewide")
 CAPTURES_A_PAGE = 12
+BOKEH_PICTURES = {"bokeh": "bokeh.jpg", "bokeh, preview": "bokeh_preview.jpg"}
 _POLICY = b"default-src 'none'; img-src data:"  # stands in the head of every page of any version
 _HEAD_BYTES = 1024
 _MOST_PAGE_BYTES = 1 << 28
@@ -60,9 +61,8 @@ def report_row(
     tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
     pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
     others = {"wide": wide}
-    bokeh = folder / "bokeh.jpg"
-    if is_file(bokeh):
-        others["bokeh"] = read_image(bokeh)
+    bokeh = {label: folder / name for label, name in BOKEH_PICTURES.items() if is_file(folder / name)}
+    others |= {label: read_image(path) for label, path in bokeh.items()}
     viewed = None
     try:
         disparity = read_disparity(folder / NPZ_NAME)
@@ -73,8 +73,7 @@ def report_row(
             viewed = viewed_capture(tele, disparity, others={**others, **corrections}, metric=metric, name=pair.name)
     except TelewideError as error:
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
-    if "bokeh" in others:
-        pictures.append(thumbnail("bokeh", others["bokeh"], link=_link(bokeh, root)))
+    pictures += [thumbnail(label, others[label], link=_link(path, root)) for label, path in bokeh.items()]
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
 
 

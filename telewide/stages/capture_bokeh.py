@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import metadata
 
 from telewide.bokeh.focus import Focus, find_focus, named_focus
-from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note, held_back_note, why_no_bokeh
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, bokeh_preview, focus_note, held_back_note, why_no_bokeh
 from telewide.capture.carried import CarriedFacts, read_carried
 from telewide.capture.colour_profiles import is_other_than_srgb
 from telewide.capture.exif import read_photo_facts
@@ -20,7 +20,7 @@ from telewide.capture.pictures import PictureFacts
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.geometry.arrays import FloatMap
-from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES
+from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, PREVIEW_BOKEH_NAME
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def bokeh_of_capture(
         disparity_at_m=result.disparity_at,
     )
     own = _in_own_colours(photo, source, carried, turned_deg=turned_deg)
-    pixels = bokeh_picture(own, maps, options=options, baseline_m=baseline_m, focus=focus)
+    render = bokeh_preview if options.is_preview else bokeh_picture
+    pixels = render(own, maps, options=options, baseline_m=baseline_m, focus=focus)
     numbers = _focus_numbers(focus, result)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
     note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=options)
@@ -113,7 +114,11 @@ def no_bokeh_note(name: str, why: str) -> str:
 
 def bokeh_names(options: BokehOptions | None) -> tuple[str, ...]:
     """Name the files of a bokeh picture; none where none is asked for."""
-    return () if options is None else tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in options.kinds)
+    if options is None:
+        return ()
+    if options.is_preview:
+        return (PREVIEW_BOKEH_NAME,)
+    return tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in options.kinds)
 
 
 def software() -> str:

@@ -5,9 +5,11 @@ Letters: H W image.
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,13 +20,14 @@ from telewide.capture.carried import read_carried
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.capture.photo_store import PhotoStore
 from telewide.capture.pictures import write_picture
-from telewide.depth.export import DEFAULT_FORMATS, WITH_EXIF, file_names, write_depth
-from telewide.depth.formats.numpy_archive import NPZ_NAME
+from telewide.depth.export import ALWAYS, DEFAULT_FORMATS, WITH_EXIF, file_names, write_depth
+from telewide.depth.formats.contents import WrittenDepth
+from telewide.depth.formats.numpy_archive import NPZ_NAME, read_result
 from telewide.depth.precision_notes import ALL_NEGATIVE
 from telewide.depth.result import DepthResult, stood_upright
 from telewide.drawing import upright
-from telewide.errors import InputError, UsageError, within_memory
-from telewide.files import fingerprint, is_file, replacing
+from telewide.errors import InputError, TelewideError, UsageError, within_memory
+from telewide.files import fingerprint, is_file
 from telewide.folders import fresh_folder, refuse_links
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.matcher import Match
@@ -34,11 +37,15 @@ from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
 from telewide.stages.capture_bokeh import CaptureBokeh, bokeh_names, bokeh_of_capture, no_bokeh_note, software
 from telewide.stages.kept_depth import (
     BOKEH_NAMES,
+    DEPTH_NAMES,
     KEPT_NAME,
+    PREVIEW_BOKEH_NAME,
+    DepthPart,
     KeptDepth,
     listed_files,
     put_in_place,
     read_kept,
+    read_kept_depth,
     refuse_foreign_files,
     refuse_results_of_another,
     write_kept,
@@ -57,6 +64,7 @@ class DepthOutcome:
         numbers: seconds, focus, shares of held-out matches missed, errors against a truth where the set has one.
         is_kept: whether all files were there already, made from the same inputs.
         withheld: what is not among the files because it would mean nothing, and why; None where all is there.
+        is_depth_kept: whether the depth was there already, and only what is made of it was made.
     """
 
     name: str
@@ -65,6 +73,7 @@ class DepthOutcome:
     numbers: Mapping[str, float]
     is_kept: bool = False
     withheld: str | None = None
+    is_depth_kept: bool = False
 
     @property
     def shortcomings(self) -> tuple[str, ...]:
@@ -114,7 +123,7 @@ def depth_of_capture(
     photos: PhotoStore | None = None,
     formats: tuple[str, ...] = DEFAULT_FORMATS,
 ) -> DepthOutcome | DepthFailure:
-    """Make depth, and bokeh if asked, of one capture, unless the same lies there already.
+    """Make depth, and bokeh if asked, of one capture, unless the same lies there already; of its parts, likewise.
 
     Args:
         source: the photos as taken.
@@ -134,6 +143,7 @@ def depth_of_capture(
         cannot be used: one bad capture does not stop the others.
     """
     photos = photos or PhotoStore(max_bytes=0)
+    is_depth_kept = False
     try:
         refuse_links(folder.parent, folder)
         key = {**key, "truth_sha256": source.truth_path and fingerprint(source.truth_path)}
@@ -142,29 +152,59 @@ def depth_of_capture(
             refuse_results_of_another(folder, source.tele_path)
             refuse_foreign_files(folder, (*file_names(formats), *bokeh_names(bokeh), KEPT_NAME))
             with within_memory("its depth"):
-                computed = _compute(
-                    source, held_out, photos, facts=facts, match=match, window=window, bokeh=bokeh, shot=shot
-                )
-            made = _put(computed, folder, formats=formats, key=key, source=source.tele_path)
+                turned_deg = 0 if shot is not None else facts.rotated_deg  # the photos of a rig are not turned
+                depth = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
+                is_depth_kept = depth is not None
+                if depth is None:
+                    depth = _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
+                picture = None
+                if bokeh is not None:
+                    picture = bokeh_of_capture(depth.photo, depth.result, source, options=bokeh, turned_deg=turned_deg)
+            made = _put(depth, picture, folder, formats=formats, key=key, source=source.tele_path)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
-    paths = tuple(folder / name for name in made.files)
-    return DepthOutcome(source.name, paths, made.notes, made.numbers, is_kept=lying is not None, withheld=made.withheld)
+    return DepthOutcome(
+        source.name,
+        tuple(folder / name for name in made.files),
+        made.notes,
+        made.numbers,
+        is_kept=lying is not None,
+        withheld=made.withheld,
+        is_depth_kept=is_depth_kept,
+    )
 
 
 @dataclass(frozen=True)
-class _Computed:
-    """All that is to be written of one capture, upright."""
+class _Depth:
+    """Photo and depth of one capture, upright, and what is told of it; what lies there already of it, or None."""
 
     photo: FloatMap
     result: DepthResult
-    metric_notes: tuple[str, ...]
-    bokeh: CaptureBokeh | None
+    notes: tuple[str, ...]
     numbers: Mapping[str, float]
     withheld: str | None = None
+    lying: KeptDepth | None = None
 
 
-def _compute(
+def _kept(
+    folder: Path, source: Capture, photos: PhotoStore, *, key: Mapping[str, object], turned_deg: int
+) -> _Depth | None:
+    """Take the depth that lies in a folder, where it was made from the same and can be read."""
+    lying = read_kept_depth(folder, key)
+    if lying is None:
+        return None
+    try:
+        result = read_result(folder / NPZ_NAME, name=source.name)
+    except TelewideError:
+        return None
+    photo = upright(photos.read(source.tele_path), rotated_deg=turned_deg)
+    if photo.shape[:2] != result.disparity.disparity_px.shape:
+        return None
+    of = lying.depth
+    return _Depth(photo, result, of.notes, numbers=of.numbers, withheld=lying.withheld, lying=lying)
+
+
+def _matched(
     source: Capture,
     held_out: HeldOut,
     photos: PhotoStore,
@@ -172,10 +212,9 @@ def _compute(
     facts: CaptureFacts,
     match: Match,
     window: Window,
-    bokeh: BokehOptions | None,
     shot: ShotGeometry | None,
-) -> _Computed:
-    """Do all that can fail, and touch no file."""
+) -> _Depth:
+    """Match the pair and bring the depth to its photo."""
     begun_s = time.monotonic()
     pair = read_pair(held_out.capture)
     window = within_width(window, pair.tele.shape[1])
@@ -186,21 +225,9 @@ def _compute(
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     errors, unjudged = _errors_by_truth(source, result, is_mirrored=shot is None and facts.wide_side == "left")
     numbers |= errors
-    turned_deg = result.rotated_deg
-    photo, result = upright(photo, rotated_deg=turned_deg), stood_upright(result)
-    picture: CaptureBokeh | None = None
-    if bokeh is not None:
-        picture = bokeh_of_capture(photo, result, source, options=bokeh, turned_deg=turned_deg)
-        numbers |= picture.numbers
+    photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
     numbers["total_s"] = time.monotonic() - begun_s
-    return _Computed(
-        photo=photo,
-        result=result,
-        metric_notes=(*metric_notes, *unjudged),
-        bokeh=picture,
-        numbers=numbers,
-        withheld=withheld,
-    )
+    return _Depth(photo, result, (*metric_notes, *unjudged), numbers=numbers, withheld=withheld)
 
 
 def _errors_by_truth(
@@ -219,12 +246,30 @@ def _errors_by_truth(
 
 
 def _put(
-    computed: _Computed, folder: Path, *, formats: tuple[str, ...], key: Mapping[str, object], source: Path
+    depth: _Depth,
+    bokeh: CaptureBokeh | None,
+    folder: Path,
+    *,
+    formats: tuple[str, ...],
+    key: Mapping[str, object],
+    source: Path,
 ) -> KeptDepth:
     """Write all files of one capture, which appear together."""
     with fresh_folder(folder.parent) as new:
-        exif = _exif_without_place(source, computed.photo) if WITH_EXIF.intersection(formats) else b""
-        made = _write(new, computed, former=folder, formats=formats, exif=exif)
+        exif = _exif_without_place(source, depth.photo) if WITH_EXIF.intersection(formats) else b""
+        written = _write_depth(new, depth, former=folder, formats=formats, exif=exif)
+        part = DepthPart(
+            npz_sha256=fingerprint(new / NPZ_NAME),
+            formats=formats,
+            notes=depth.notes,
+            file_notes=written.notes,
+            numbers=dict(depth.numbers),
+        )
+        names = [path.name for path in written.paths]
+        names += _write_bokeh(new, bokeh, former=folder, taken=_bokeh_of(folder, new / NPZ_NAME))
+        notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes))
+        numbers = {**depth.numbers, **({} if bokeh is None else bokeh.numbers)}
+        made = KeptDepth(tuple(names), notes, numbers, depth.withheld, part)
         write_kept(new, made, key=key, source=source)
         put_in_place(new, folder)
     return made
@@ -236,28 +281,51 @@ def _exif_without_place(source: Path, photo: FloatMap) -> bytes:
     return carried.exif_bytes(wh=(photo.shape[1], photo.shape[0]), software=software())
 
 
-def _write(folder: Path, computed: _Computed, *, former: Path, formats: tuple[str, ...], exif: bytes) -> KeptDepth:
-    """Write all files of one capture into a folder; an earlier bokeh is kept where its depth is the same."""
-    written = write_depth(folder, computed.result, image=computed.photo, formats=formats, exif=exif)
-    names, notes = [path.name for path in written.paths], (*written.notes, *computed.metric_notes)
-    if computed.bokeh is None:
-        for name in _bokeh_of(former, folder / NPZ_NAME):
-            with replacing(folder / name) as temporary:
-                shutil.copyfile(former / name, temporary)
-            names.append(name)
-        return KeptDepth(tuple(names), notes, computed.numbers, computed.withheld)
-    if (files := computed.bokeh.files) is not None:
+def _write_depth(folder: Path, depth: _Depth, *, former: Path, formats: tuple[str, ...], exif: bytes) -> WrittenDepth:
+    """Write the depth files into a folder; what lies in the former one of this very depth is taken over."""
+    lying, photo = depth.lying, depth.photo
+    if lying is None:
+        return write_depth(folder, depth.result, image=photo, formats=formats, exif=exif)
+    if lying.depth.formats == formats and lying.is_whole:
+        names = [name for name in lying.files if name in DEPTH_NAMES]
+        for name in names:
+            _take_over(former / name, folder / name)
+        return WrittenDepth(tuple(folder / name for name in names), lying.depth.file_notes)
+    _take_over(former / NPZ_NAME, folder / NPZ_NAME)
+    others = tuple(name for name in formats if name != ALWAYS)
+    written = write_depth(folder, depth.result, image=photo, formats=others, exif=exif)
+    return WrittenDepth((folder / NPZ_NAME, *written.paths), written.notes)
+
+
+def _write_bokeh(folder: Path, bokeh: CaptureBokeh | None, *, former: Path, taken: list[str]) -> list[str]:
+    """Write the bokeh into a folder, and name its files; earlier ones of the same depth stay beside a preview alone."""
+    files = None if bokeh is None else bokeh.files
+    new = () if files is None else files.names
+    if bokeh is None or new == (PREVIEW_BOKEH_NAME,):
+        taken = [name for name in taken if name not in new]
+        for name in taken:
+            _take_over(former / name, folder / name)
+    else:
+        taken = []
+    if files is not None:
         for name in files.names:
             write_picture(folder / name, files.pixels, facts=files.facts)
-            names.append(name)
-    notes = (*notes, *computed.bokeh.notes)
-    return KeptDepth(tuple(names), notes, computed.numbers, computed.withheld)
+    return [*new, *taken]
+
+
+def _take_over(path: Path, to: Path) -> None:
+    """Give a file a second name; a copy where the file system knows none, or the first is a link."""
+    if not path.is_symlink():
+        with suppress(OSError):
+            os.link(path, to)
+            return
+    shutil.copyfile(path, to)
 
 
 def _bokeh_of(folder: Path, depth: Path) -> list[str]:
     """Names of the bokeh files there that were made of this very depth."""
     lying = listed_files(folder)
-    names = [name for name in BOKEH_NAMES if name in lying and is_file(folder / name)]
+    names = [name for name in (*BOKEH_NAMES, PREVIEW_BOKEH_NAME) if name in lying and is_file(folder / name)]
     former = folder / depth.name
     is_same = bool(names) and depth.name in lying and is_file(former)
     return names if is_same and fingerprint(former) == fingerprint(depth) else []

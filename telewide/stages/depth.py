@@ -225,6 +225,10 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
     if n_kept:
         same = "same photos, same weights, same options"
         call.observer.said(f"kept as they were: {n_kept} of {counted(len(outcomes), 'capture')}, {same}")
+    n_reused = sum(outcome.is_depth_kept for outcome in outcomes)
+    if n_reused:
+        of_all = f"{n_reused} of {counted(len(outcomes), 'capture')}"
+        call.observer.said(f"not matched again: {of_all}, same photos, same matcher; only files asked for were made")
     asked = {**asdict(options), "matcher": matcher.name}
     if options.trusts_focus:
         asked["trusts_focus"] = [item.capture.name for item in prepared.pairs if _stated_focus(item) is not None]

@@ -6,23 +6,46 @@ import os
 import shutil
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pydantic import Field, JsonValue
 
 from telewide.depth.export import FORMATS, file_names
+from telewide.depth.formats.numpy_archive import NPZ_NAME
 from telewide.errors import TelewideError, UsageError
-from telewide.files import changing, is_file, is_folder, temporary_name
+from telewide.files import changing, fingerprint, is_file, is_folder, temporary_name
 from telewide.records import Figure, Line, Name, Record, as_read, checked, read_json, read_record, write_record
 from telewide.text import shortened
 
-FORMAT = 5
+FORMAT = 6
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
-BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif")
-FILE_NAMES = (*file_names(FORMATS), *BOKEH_NAMES)
+BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif", "bokeh.exr")
+PREVIEW_BOKEH_NAME = "bokeh_preview.jpg"
+DEPTH_NAMES = file_names(FORMATS)
+FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES, PREVIEW_BOKEH_NAME)
 """Of all files of one capture; some are left out where they cannot be made."""
+MADE_OF_DEPTH = ("bokeh", "formats")
+"""Keys of what is made of a depth that is known; the depth itself does not depend on them."""
+
+
+class DepthPart(Record):
+    """Of the results of one capture, what holds whatever is made of its depth.
+
+    Attributes:
+        npz_sha256: fingerprint of ``depth.npz``, from which the depth is taken again; None where it was not written.
+        formats: of the depth files that lie there.
+        notes: on the depth, its metres for instance.
+        file_notes: on the depth files that lie there.
+        numbers: measured of the depth.
+    """
+
+    npz_sha256: str | None = None
+    formats: tuple[str, ...] = ()
+    notes: tuple[Line, ...] = ()
+    file_notes: tuple[Line, ...] = ()
+    numbers: dict[str, Figure] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -34,12 +57,16 @@ class KeptDepth:
         notes: what was left out, and why.
         numbers: what was measured; NaN where it could not be.
         withheld: what is not among the files because it would mean nothing, and why; None where all is there.
+        depth: what of these is of the depth alone.
+        is_whole: whether all the files are there as they were written.
     """
 
     files: tuple[str, ...]
     notes: tuple[str, ...]
     numbers: Mapping[str, float]
     withheld: str | None = None
+    depth: DepthPart = field(default_factory=DepthPart)
+    is_whole: bool = True
 
 
 class KeptRecord(Record):
@@ -54,6 +81,7 @@ class KeptRecord(Record):
         notes: what was left out, and why.
         numbers: what was measured.
         withheld: what is not among the files, and why.
+        depth: what of these is of the depth alone.
     """
 
     format: int = 0
@@ -64,6 +92,7 @@ class KeptRecord(Record):
     notes: tuple[Line, ...] = ()
     numbers: dict[str, Figure] = Field(default_factory=dict)
     withheld: Line | None = None
+    depth: DepthPart = Field(default_factory=DepthPart)
 
 
 def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
@@ -83,7 +112,38 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     is_same = record.format == FORMAT and record.key == as_read(key)
     if not is_same or not all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items()):
         return None
-    return KeptDepth(tuple(record.files_bytes), record.notes, record.numbers, record.withheld)
+    return _as_kept(record)
+
+
+def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
+    """Read what lies in a folder, if its depth was made from the same, whatever else was made of it.
+
+    Args:
+        folder: of one capture.
+        key: everything the files depend on, as plain data.
+
+    Returns:
+        What was made, with ``depth.npz`` as it was written; None where there is no such depth.
+    """
+    try:
+        record = read_record(folder / KEPT_NAME, KeptRecord)
+        sha256 = record.depth.npz_sha256
+        if record.format != FORMAT or _without_later(record.key) != _without_later(as_read(key)) or sha256 is None:
+            return None
+        if not is_file(folder / NPZ_NAME) or fingerprint(folder / NPZ_NAME) != sha256:
+            return None
+    except TelewideError:  # not there, or damaged: it is made again
+        return None
+    is_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())
+    return replace(_as_kept(record), is_whole=is_whole)
+
+
+def _without_later(key: Mapping[str, JsonValue]) -> dict[str, JsonValue]:
+    return {name: value for name, value in key.items() if name not in MADE_OF_DEPTH}
+
+
+def _as_kept(record: KeptRecord) -> KeptDepth:
+    return KeptDepth(tuple(record.files_bytes), record.notes, record.numbers, record.withheld, record.depth)
 
 
 def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
@@ -207,5 +267,6 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], sour
         notes=kept.notes,
         numbers=kept.numbers,
         withheld=kept.withheld,
+        depth=kept.depth,
     )
     write_record(folder / KEPT_NAME, record)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from bokeh.layered_world import reference_world
 
 from telewide.bokeh.focus import Focus, find_focus, named_focus
-from telewide.bokeh.picture import BokehOptions, bokeh_picture, focus_note
+from telewide.bokeh.picture import BokehOptions, bokeh_picture, bokeh_preview, focus_note
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.simulate.captures import write_captures
+from telewide.srgb import srgb_from_linear
 
 
 def found_px(disparity_px: FloatMap, confidence: FloatMap, *, focus: str) -> float:
@@ -39,6 +42,19 @@ def test_a_photo_on_its_side_is_blurred_as_one_held_upright(scene_px: np.ndarray
         focus = Focus(12.0, 0, 0)
         pictures.append(bokeh_picture(turned, disparity, options=BokehOptions(), baseline_m=None, focus=focus))
     np.testing.assert_allclose(np.rot90(pictures[0]), pictures[1], atol=0.02)
+
+
+@pytest.mark.parametrize("options", [BokehOptions(strength_px=16.0), BokehOptions(f_number=4.0), BokehOptions()])
+def test_a_preview_is_the_picture_made_smaller(options: BokehOptions) -> None:
+    world = reference_world(384)
+    photo, disparity_px = np.clip(srgb_from_linear(world.photo_linear()), 0, 1), 40 * world.disparity_px()
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+    focus = find_focus(disparity_px, maps.confidence, focus="auto")
+    whole = bokeh_picture(photo, maps, options=options, baseline_m=0.012, focus=focus)
+    small = bokeh_preview(photo, maps, options=options, baseline_m=0.012, focus=focus)
+    assert small.shape == (96, 96, 3)
+    expected = cv2.resize(whole, (96, 96), interpolation=cv2.INTER_AREA)
+    assert -10 * np.log10(np.mean((small - expected) ** 2)) > 33
 
 
 def test_focus_words_name_the_surfaces(scene_px: np.ndarray, rng: np.random.Generator) -> None:

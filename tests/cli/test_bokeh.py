@@ -52,6 +52,7 @@ def test_words_become_options() -> None:
         ({"picture": "png"}, "--picture png"),
         ({"picture": ""}, "--picture"),
         ({"highlights": float("nan")}, "--highlights"),
+        ({"preview": True, "picture": "tif"}, "--preview"),
     ],
 )
 def test_words_that_shape_nothing_are_refused(words: dict[str, object], named: str) -> None:
@@ -60,7 +61,8 @@ def test_words_that_shape_nothing_are_refused(words: dict[str, object], named: s
 
 
 @pytest.mark.parametrize(
-    "words", [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}, {"strip": True}]
+    "words",
+    [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}, {"strip": True}, {"preview": True}],
 )
 def test_words_without_a_picture_are_refused(words: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="bokeh picture") as refusal:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +20,12 @@ from telewide.capture.images import read_image, write_image
 from telewide.capture.pair import Capture, CaptureFacts
 from telewide.capture.pfm import read_pfm, write_pfm
 from telewide.correction.moving import MovedRegion
+from telewide.depth.export import DEFAULT_FORMATS, chosen_formats
 from telewide.depth.pin import KnownDistance
 from telewide.depth.precision import DepthPrecision
 from telewide.drawing import upright
 from telewide.errors import MissingPartError, UsageError
+from telewide.files import fingerprint
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap, ValidMasks
@@ -496,3 +499,116 @@ def test_every_format_stands_upright(capture: Capture, tmp_path: Path, rotated_d
     # Near stood on the right before; turned back, it is where the photo's right side is.
     near, far = (grey[-1], grey[0]) if rotated_deg == 90 else (grey[0], grey[-1])
     assert near.min() > far.max()
+
+
+# What is made of a depth that is there already
+
+
+class Matching:
+    """A match that knows how often it was called."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(
+        self, ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None
+    ) -> DisparityMap:
+        self.calls += 1
+        seen = stepped(ref, src, window=window)
+        unsure = np.linspace(0.5, 1, HW[0] * HW[1], dtype=np.float32).reshape(HW)
+        return dataclasses.replace(seen, confidence=unsure, valid=unsure > 0.6)
+
+
+METRIC = CaptureFacts(rectified=True, baseline_m=0.012, f_px=400.0, doffs_px=1.5, rotated_deg=90)
+
+
+def made_again(
+    capture: Capture,
+    folder: Path,
+    match: Matching,
+    *,
+    bokeh: BokehOptions | None = None,
+    formats: tuple[str, ...] = DEFAULT_FORMATS,
+    matcher: str = "network 1",
+) -> DepthOutcome:
+    """Depth whose key names the photo and the matcher, as a call does."""
+    key: dict[str, object] = {"photo": fingerprint(capture.tele_path), "matcher": matcher, "formats": formats}
+    key["bokeh"] = None if bokeh is None else dataclasses.asdict(bokeh)
+    held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
+    outcome = depth_of_capture(
+        capture, held_out, folder, facts=METRIC, match=match, window=WINDOW, bokeh=bokeh, key=key, formats=formats
+    )
+    assert isinstance(outcome, DepthOutcome)
+    return outcome
+
+
+def test_another_bokeh_or_format_matches_nothing_again(capture: Capture, tmp_path: Path) -> None:
+    folder, match = tmp_path / "run", Matching()
+    first = made_again(capture, folder, match)
+    stamp = (folder / "depth.npz").stat().st_mtime_ns
+    assert not first.is_depth_kept
+    for bokeh in (BokehOptions(strength_px=3.0), BokehOptions(focus="near"), BokehOptions(is_preview=True)):
+        again = made_again(capture, folder, match, bokeh=bokeh)
+        assert again.is_depth_kept
+        assert not again.is_kept
+    more = made_again(capture, folder, match, formats=("pfm", "npz", "mm", "tiff"))
+    assert {"depth_mm.png", "depth.tif"} <= {path.name for path in more.paths}
+    assert not (folder / "disparity.png").exists()
+    assert match.calls == 1
+    assert (folder / "depth.npz").stat().st_mtime_ns == stamp
+    assert {name: more.numbers[name] for name in first.numbers} == dict(first.numbers)
+
+
+def test_another_photo_or_other_weights_match_again(capture: Capture, tmp_path: Path) -> None:
+    folder, match = tmp_path / "run", Matching()
+    made_again(capture, folder, match)
+    made_again(capture, folder, match, matcher="network 2")
+    assert match.calls == 2
+    write_image(capture.tele_path, np.full((*HW, 3), 0.5, np.float32))
+    assert not made_again(capture, folder, match, matcher="network 2").is_depth_kept
+    assert match.calls == 3
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda path: path.unlink(), lambda path: path.write_bytes(b"0" * path.stat().st_size)]
+)
+def test_a_depth_that_is_no_longer_whole_is_matched_again(
+    capture: Capture, tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
+    folder, match = tmp_path / "run", Matching()
+    made_again(capture, folder, match)
+    damage(folder / "depth.npz")
+    assert not made_again(capture, folder, match, bokeh=BokehOptions()).is_depth_kept
+    assert match.calls == 2
+
+
+def test_files_of_a_kept_depth_are_those_of_one_just_matched(capture: Capture, tmp_path: Path) -> None:
+    """Whatever the way to them, the same bytes: all formats, and bokeh in colours and in metres."""
+    formats = chosen_formats(["pfm,png,mm,tiff,grey,gdepth"])
+    bokeh = BokehOptions(focus="0.6m", f_number=2.0, kinds=("jpg", "tif"))
+    at_once = made_again(capture, tmp_path / "at_once", Matching(), bokeh=bokeh, formats=formats)
+    match = Matching()
+    made_again(capture, tmp_path / "later", match, formats=("npz",))
+    later = made_again(capture, tmp_path / "later", match, bokeh=bokeh, formats=formats)
+    assert match.calls == 1
+    names = {path.name for path in at_once.paths}
+    assert {path.name for path in later.paths} == names
+    for name in names:
+        assert (tmp_path / "later" / name).read_bytes() == (tmp_path / "at_once" / name).read_bytes(), name
+    assert later.notes == at_once.notes
+    same = ("focus_px", "focus_m", "EPE_px", "matches")
+    assert {n: later.numbers.get(n) for n in same} == {n: at_once.numbers.get(n) for n in same}
+
+
+def test_a_preview_stands_beside_the_picture_until_that_is_made_again(capture: Capture, tmp_path: Path) -> None:
+    folder, match = tmp_path / "run", Matching()
+    made_again(capture, folder, match, bokeh=BokehOptions(strength_px=3.0))
+    whole = (folder / "bokeh.jpg").read_bytes()
+    tried = made_again(capture, folder, match, bokeh=BokehOptions(focus="near", is_preview=True))
+    assert {folder / "bokeh.jpg", folder / "bokeh_preview.jpg"} <= set(tried.paths)
+    assert (folder / "bokeh.jpg").read_bytes() == whole
+    with Image.open(folder / "bokeh_preview.jpg") as picture:
+        assert picture.size == (HW[0] // 4, HW[1] // 4)  # of the upright photo
+    made_again(capture, folder, match, bokeh=BokehOptions(focus="near"))
+    assert (folder / "bokeh.jpg").read_bytes() != whole
+    assert not (folder / "bokeh_preview.jpg").exists()

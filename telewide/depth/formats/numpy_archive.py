@@ -15,7 +15,7 @@ from telewide.depth.result import DepthResult
 from telewide.errors import InputError
 from telewide.files import replacing
 from telewide.geometry.stereo import DisparityMap
-from telewide.npz import read_npz
+from telewide.npz import names_in_npz, read_npz
 
 NPZ_FORMAT = 1
 NPZ_NAME = "depth.npz"
@@ -47,7 +47,47 @@ def read_disparity(path: Path) -> DisparityMap:
         raise InputError(f"{path} is damaged: its maps are {', '.join(str(one.dtype) for one in maps)}")
     if disparity_px.ndim != 2 or any(one.shape != disparity_px.shape for one in maps) or not disparity_px.size:
         raise InputError(f"{path} is damaged: its maps are not of one size")
-    return DisparityMap(disparity_px.astype(np.float32), confidence.astype(np.float32), valid.astype(np.bool_))
+    disparity_px, confidence = (one.astype(np.float32, copy=False) for one in (disparity_px, confidence))
+    return DisparityMap(disparity_px, confidence, valid.astype(np.bool_, copy=False))
+
+
+def read_result(path: Path, *, name: str) -> DepthResult:
+    """Read the result that a ``depth.npz`` was written of, upright.
+
+    Args:
+        path: a ``depth.npz``.
+        name: of the capture.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: it is damaged, or of another kind.
+    """
+    disparity, lying = read_disparity(path), names_in_npz(path)
+    hw = disparity.disparity_px.shape
+    stated = {
+        each: read_npz(path, (each,), most_bytes=_MOST_BYTES)[0] if each in lying else None
+        for each in ("K", "baseline_m", "doffs_px", "depth_m", "depth_std_m", "distortion")
+    }
+    numbers = [stated[each] for each in ("K", "baseline_m", "doffs_px", "distortion")]
+    if any(one is not None and one.dtype != np.float64 for one in numbers):
+        raise InputError(f"{path} is damaged: its camera is none")
+    K, baseline_m, doffs_px, distortion = numbers
+    maps_m = [stated["depth_m"], stated["depth_std_m"]]
+    if any(one is not None and (one.shape != hw or one.dtype != np.float32) for one in maps_m):
+        raise InputError(f"{path} is damaged: its maps are not of one size")
+    if K is None or K.shape != (3, 3) or any(one is not None and one.size != 1 for one in (baseline_m, doffs_px)):
+        raise InputError(f"{path} is damaged: its camera is none")
+    depth_m, std_m = (None if one is None else one.astype(np.float32, copy=False) for one in maps_m)
+    return DepthResult(
+        name=name,
+        disparity=disparity,
+        K=K.astype(np.float64) if np.isfinite(K.astype(np.float64)).all() else None,
+        baseline_m=None if baseline_m is None else float(baseline_m.astype(np.float64).item()),
+        depth_m=depth_m,
+        depth_std_m=std_m,
+        distortion=None if distortion is None else distortion.astype(np.float64),
+        doffs_px=0.0 if doffs_px is None else float(doffs_px.astype(np.float64).item()),
+    )
 
 
 def npz_arrays(result: DepthResult) -> dict[str, NDArray[np.generic]]:
