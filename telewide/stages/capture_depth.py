@@ -269,7 +269,7 @@ def _put(
         names += _write_bokeh(new, bokeh, former=folder, taken=_bokeh_of(folder, new / NPZ_NAME))
         notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes))
         numbers = {**depth.numbers, **({} if bokeh is None else bokeh.numbers)}
-        made = KeptDepth(tuple(names), notes, numbers, depth.withheld, part)
+        made = KeptDepth(tuple(names), notes, numbers, withheld=depth.withheld, depth=part)
         write_kept(new, made, key=key, source=source)
         put_in_place(new, folder)
     return made

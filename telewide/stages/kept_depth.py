@@ -143,7 +143,8 @@ def _without_later(key: Mapping[str, JsonValue]) -> dict[str, JsonValue]:
 
 
 def _as_kept(record: KeptRecord) -> KeptDepth:
-    return KeptDepth(tuple(record.files_bytes), record.notes, record.numbers, record.withheld, record.depth)
+    files = tuple(record.files_bytes)
+    return KeptDepth(files, record.notes, record.numbers, withheld=record.withheld, depth=record.depth)
 
 
 def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
