@@ -79,12 +79,11 @@ def depth(
     quiet: QuietOption = False,
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
-    words = BokehWords.of_call(context)
     refuse_beside_sgm(method, weights, device)
     options = depth_options(
         method=method,
         weights=weights,
-        bokeh=words.options_if(is_asked=bokeh),
+        bokeh=BokehWords.of_call(context).options_if(is_asked=bokeh),
         out=out,
         device=device,
         rig=rig,

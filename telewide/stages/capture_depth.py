@@ -123,11 +123,11 @@ def depth_of_capture(
     photos: PhotoStore | None = None,
     formats: tuple[str, ...] = DEFAULT_FORMATS,
 ) -> DepthOutcome | DepthFailure:
-    """Make depth, and bokeh if asked, of one capture, unless the same lies there already; of its parts, likewise.
+    """Make depth, and bokeh if asked, of one capture; what lies there already is not made again.
 
     Args:
         source: the photos as taken.
-        held_out: the corrected pair made from them, with the matches to judge by.
+        held_out: the pair made from them, with the matches to judge by.
         folder: where the files go.
         facts: what the owner states.
         match: makes the disparity.
@@ -143,35 +143,33 @@ def depth_of_capture(
         cannot be used: one bad capture does not stop the others.
     """
     photos = photos or PhotoStore(max_bytes=0)
-    is_depth_kept = False
+    turned_deg = 0 if shot is not None else facts.rotated_deg  # the photos of a rig are not turned
     try:
         refuse_links(folder.parent, folder)
         key = {**key, "truth_sha256": source.truth_path and fingerprint(source.truth_path)}
-        lying = made = read_kept(folder, key)
-        if made is None:
-            refuse_results_of_another(folder, source.tele_path)
-            refuse_foreign_files(folder, (*file_names(formats), *bokeh_names(bokeh), KEPT_NAME))
-            with within_memory("its depth"):
-                turned_deg = 0 if shot is not None else facts.rotated_deg  # the photos of a rig are not turned
-                depth = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
-                is_depth_kept = depth is not None
-                if depth is None:
-                    depth = _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
-                picture = None
-                if bokeh is not None:
-                    picture = bokeh_of_capture(depth.photo, depth.result, source, options=bokeh, turned_deg=turned_deg)
-            made = _put(depth, picture, folder, formats=formats, key=key, source=source.tele_path)
+        kept = read_kept(folder, key)
+        if kept is not None:
+            return replace(_outcome(source.name, folder, kept), is_kept=True)
+        _refuse_others_files(folder, source, (*file_names(formats), *bokeh_names(bokeh), KEPT_NAME))
+        with within_memory("its depth"):
+            found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
+            if found is None:
+                found = _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
+            picture = found.bokeh(source, bokeh, turned_deg=turned_deg)
+        made = _put(found, picture, folder, formats=formats, key=key, source=source.tele_path)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
-    return DepthOutcome(
-        source.name,
-        tuple(folder / name for name in made.files),
-        made.notes,
-        made.numbers,
-        is_kept=lying is not None,
-        withheld=made.withheld,
-        is_depth_kept=is_depth_kept,
-    )
+    return replace(_outcome(source.name, folder, made), is_depth_kept=found.lying is not None)
+
+
+def _refuse_others_files(folder: Path, source: Capture, names: tuple[str, ...]) -> None:
+    refuse_results_of_another(folder, source.tele_path)
+    refuse_foreign_files(folder, names)
+
+
+def _outcome(name: str, folder: Path, made: KeptDepth) -> DepthOutcome:
+    paths = tuple(folder / file for file in made.files)
+    return DepthOutcome(name, paths, made.notes, numbers=made.numbers, withheld=made.withheld)
 
 
 @dataclass(frozen=True)
@@ -184,6 +182,11 @@ class _Depth:
     numbers: Mapping[str, float]
     withheld: str | None = None
     lying: KeptDepth | None = None
+
+    def bokeh(self, source: Capture, options: BokehOptions | None, *, turned_deg: int) -> CaptureBokeh | None:
+        if options is None:
+            return None
+        return bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
 
 
 def _kept(
