@@ -139,8 +139,7 @@ def depth_of_capture(
         formats: of the depth files, the npz among them.
 
     Returns:
-        The files, and what was measured; or why there are none, where a photo, the truth or the bokeh asked for
-        cannot be used: one bad capture does not stop the others.
+        The files, and what was measured; or why there are none: one bad capture does not stop the others.
     """
     photos = photos or PhotoStore(max_bytes=0)
     turned_deg = 0 if shot is not None else facts.rotated_deg  # the photos of a rig are not turned
