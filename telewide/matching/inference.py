@@ -92,18 +92,24 @@ def has_fast_bf16(device: torch.device) -> bool:
 def _seconds_to_convolve(*dtypes: torch.dtype) -> list[float]:
     """The least of some trials in each type, in turns, with a layer as the networks have them; the first warms up.
 
-    Time of the processor, not of the clock: what else the machine does must not decide how a result is rounded.
+    Time of the processor, not of the clock, and of one thread, as two of them wait for each other where cores are busy:
+    what else the machine does must not decide how a result is rounded.
     """
     layers = []
+    threads = torch.get_num_threads()
     for dtype in dtypes:
         x, weight = (torch.ones(shape, dtype=dtype) for shape in ((1, 48, 96, 96), (48, 48, 3, 3)))
         layers.append(tuple(tensor.contiguous(memory_format=torch.channels_last) for tensor in (x, weight)))
     seconds: list[list[float]] = [[] for _ in dtypes]
-    for _ in range(8):
-        for (x, weight), trials in zip(layers, seconds, strict=True):
-            begun_s = time.process_time()
-            functional.conv2d(x, weight, padding=1)
-            trials.append(time.process_time() - begun_s)
+    try:
+        torch.set_num_threads(1)
+        for _ in range(8):
+            for (x, weight), trials in zip(layers, seconds, strict=True):
+                begun_s = time.process_time()
+                functional.conv2d(x, weight, padding=1)
+                trials.append(time.process_time() - begun_s)
+    finally:
+        torch.set_num_threads(threads)
     return [min(trials[1:]) for trials in seconds]
 
 

@@ -245,6 +245,26 @@ def test_low_precision_can_be_switched_off() -> None:
         assert (a @ a).dtype == torch.float32
 
 
+def test_the_choice_of_precision_is_made_on_one_thread_and_leaves_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads that wait for each other on busy cores take time of the processor, in one type as in the other."""
+    seen: list[int] = []
+    convolve = torch.nn.functional.conv2d
+
+    def noted(*args: torch.Tensor, padding: int) -> torch.Tensor:
+        seen.append(torch.get_num_threads())
+        return convolve(*args, padding=padding)
+
+    monkeypatch.setattr(inference.functional, "conv2d", noted)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        inference._seconds_to_convolve(torch.bfloat16, torch.float32)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert set(seen) == {1}
+
+
 def test_a_gpu_gives_what_the_processor_gives(gpu: str) -> None:
     ref, src = noise(96, 160), noise(96, 160, seed=1)
     with full_precision():

@@ -27,11 +27,12 @@ from telewide.errors import InputError, QualityError
 from telewide.files import fingerprint
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
-from telewide.stages.labels import write_labels
+from telewide.stages.labels import teacher_of, write_labels
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, refuse_without_rig
 from telewide.stages.run_folder import RunFolder
+from telewide.training.options import TrainOptions
 from telewide.training.samples import labels_path
 
 
@@ -170,6 +171,23 @@ def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) 
     narrow_px, wide_px = (read_pfm(labels_path(folder, window_px=(0, end_px))) for end_px in (8, 32))
     assert np.nanmax(narrow_px) <= 8
     assert np.nanmax(wide_px) > 10
+
+
+def test_a_training_from_the_box_is_labelled_by_it(captures: Path, tmp_path: Path) -> None:
+    """Its labels lie beside those of semi-global matching, and most of the picture has one that is right."""
+    pairs = prepared(captures, tmp_path / "run")
+    item, teacher = pairs.pairs[0], teacher_of(TrainOptions(start="box"))
+    by_box, by_sgm = (
+        labels_path(item.capture.tele_path.parent, window_px=(0, 32), teacher=name) for name in (teacher, "")
+    )
+    write_labels(pairs, names=[item.capture.name], window=(0, 32), teacher=teacher)
+    assert by_box.is_file()
+    assert not by_sgm.exists()
+    truth_px, labels_px = read_pfm(captures / item.capture.name / "truth.pfm"), read_pfm(by_box)
+    known = np.isfinite(labels_px) & np.isfinite(truth_px)
+    assert known.mean() > 0.5
+    assert np.mean(np.abs(labels_px - truth_px)[known] < 1) > 0.85
+    assert teacher_of(TrainOptions(start="scratch")) == ""
 
 
 def test_pairs_whose_rows_disagree_are_refused_by_what_was_measured(captures: Path, tmp_path: Path) -> None:
