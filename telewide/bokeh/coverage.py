@@ -23,7 +23,7 @@ REACH_PX = 3  # how far pure colours are looked for
 IMPURE_WEIGHT = 1e-3  # where a surface is too thin to have a pure pixel, its own pixels must do
 LARGEST_MISFIT = 0.25  # squared, of the contrast: a colour farther off the line is no mixture of the two
 LEAST_CONTRAST = 1e-5  # squared, of linear light: less tells nothing
-CHUNK = 65536  # mixed pixels split at a time: bounds the memory
+CHUNK = 16384  # mixed pixels split at a time: bounds the memory
 
 
 @dataclass(frozen=True)

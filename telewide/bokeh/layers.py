@@ -9,6 +9,7 @@ Letters: H W image, h w in cells; N pixels of one bin, or bins.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -26,6 +27,10 @@ FILL_PX = 5  # hidden colours are means over this square: what nobody saw is bet
 WHOLE_COVERAGE = 0.9
 LEAST_KNOWN = 0.25  # share of a cell that is seen, for it to be continued where nothing is
 TILE_PX = 256
+BLOCK_PX = 128  # squares in which it is known which bins occur
+SHARE_CELL_PX = 4  # cells of this size or larger know how much of them lies in which bin
+SAMPLED_PX = 1 << 21  # of more pixels, every other row and column tells the mean radii
+_CHUNK = 1 << 16
 _TINY = np.float32(1e-6)
 Number = TypeVar("Number", np.uint8, np.float32)
 
@@ -69,6 +74,12 @@ class Box:
         """The same box in cells; its sides are whole multiples."""
         return Box(self.top // cell, self.bottom // cell, self.left // cell, self.right // cell)
 
+    def within(self, other: Box) -> Box:
+        """Cut off what lies outside of another; empty where nothing is left."""
+        top, left = (max(own, its) for own, its in ((self.top, other.top), (self.left, other.left)))
+        bottom, right = min(self.bottom, other.bottom), min(self.right, other.right)
+        return Box(top, max(bottom, top), left, max(right, left))
+
     def seen_from(self, other: Box) -> Box:
         """The same box counted from another's corner."""
         return Box(self.top - other.top, self.bottom - other.top, self.left - other.left, self.right - other.left)
@@ -97,7 +108,7 @@ class Bins:
 
     Attributes:
         edges_px: (N - 1,) between them.
-        radius_px: (N,) of their disks: the mean, so that a flat surface gets its exact one; 0 where a bin is empty.
+        radius_px: (N,) of their disks: the mean, so that a flat surface gets its exact one; the middle of an empty bin.
     """
 
     edges_px: NDArray[np.float32]
@@ -105,7 +116,11 @@ class Bins:
 
     def index(self, radius_px: FloatMap) -> NDArray[np.uint8]:
         """Number of the bin of each radius."""
-        return np.digitize(radius_px, self.edges_px).astype(np.uint8)
+        found = np.empty(radius_px.shape, np.uint8)
+        numbers, radii_px = found.reshape(-1), radius_px.reshape(-1)
+        for start in range(0, len(numbers), _CHUNK):
+            numbers[start : start + _CHUNK] = np.digitize(radii_px[start : start + _CHUNK], self.edges_px)
+        return found
 
 
 def cut_into_bins(radius_px: FloatMap) -> Bins:
@@ -120,14 +135,16 @@ def cut_into_bins(radius_px: FloatMap) -> Bins:
         edges_px.append(edges_px[-1] + max(BIN_PX, BIN_GROWTH * edges_px[-1]))
     edges = np.array([*(-e for e in reversed(edges_px)), *edges_px], dtype=np.float32)
     edges = edges[(edges > farthest) & (edges < nearest)]
-    bin_index = np.digitize(radius_px, edges).ravel()
+    some_px = radius_px if radius_px.size <= SAMPLED_PX else radius_px[::2, ::2]
+    bin_index = np.digitize(some_px, edges).ravel()
     count = np.bincount(bin_index, minlength=len(edges) + 1)
-    total = np.bincount(bin_index, weights=radius_px.ravel(), minlength=len(edges) + 1)
-    return Bins(edges, total / np.maximum(count, 1))
+    total = np.bincount(bin_index, weights=some_px.ravel(), minlength=len(edges) + 1)
+    middle_px = np.diff(np.array([farthest, *edges, nearest])) / 2 + [farthest, *edges]
+    return Bins(edges, np.where(count > 0, total / np.maximum(count, 1), middle_px))
 
 
 @dataclass(frozen=True)
-class _Fronts:
+class Fronts:
     """Front parts of mixed pixels that belong to one bin, row by row: places (N,), light and coverage (N, 4)."""
 
     y: NDArray[np.int64]
@@ -135,13 +152,15 @@ class _Fronts:
     rgba: FloatMap
     lowest_bin: NDArray[np.uint8]
 
-    def within(self, box: Box) -> _Fronts:
+    def within(self, box: Box) -> Fronts:
+        """Those in a box, counted from its corner."""
         first, last = np.searchsorted(self.y, (box.top, box.bottom))
         some = first + np.flatnonzero((self.x[first:last] >= box.left) & (self.x[first:last] < box.right))
         return replace(self.at(some), y=self.y[some] - box.top, x=self.x[some] - box.left)
 
-    def at(self, which: BoolMap | IntArray) -> _Fronts:
-        return _Fronts(self.y[which], self.x[which], self.rgba[which], self.lowest_bin[which])
+    def at(self, which: BoolMap | IntArray) -> Fronts:
+        """Some of them."""
+        return Fronts(self.y[which], self.x[which], self.rgba[which], self.lowest_bin[which])
 
 
 @dataclass(frozen=True)
@@ -153,13 +172,18 @@ class SortedPhoto:
         rear_bin: (H, W) uint8, its bin.
         lowest_bin: (H, W) uint8, the farthest bin whose layer goes on under it with its light: both are one surface.
         bins: the bins.
+        occurs: (h, w, N) bool, which bins occur in each block of `BLOCK_PX`.
+        up_to: (N, h, w) uint8, pixels of each cell of `SHARE_CELL_PX` that lie in a bin or farther; None where the
+            sides are no multiples of such cells.
     """
 
     rear: FloatMap
     rear_bin: NDArray[np.uint8]
     lowest_bin: NDArray[np.uint8]
     bins: Bins
-    _fronts: dict[int, _Fronts]
+    occurs: BoolMap
+    up_to: NDArray[np.uint8] | None
+    _fronts: dict[int, Fronts]
 
     @property
     def hw(self) -> tuple[int, int]:
@@ -167,10 +191,14 @@ class SortedPhoto:
         return self.rear_bin.shape[0], self.rear_bin.shape[1]
 
     def bins_in(self, box: Box) -> list[int]:
-        """Bins that occur in a box, far to near."""
-        count = np.bincount(self.rear_bin[box.slices].ravel(), minlength=len(self.bins.radius_px))
-        in_front = [index for index, fronts in self._fronts.items() if len(fronts.within(box).y)]
-        return [int(index) for index in np.union1d(np.flatnonzero(count), np.array(in_front, dtype=np.int64))]
+        """Bins that occur in the blocks that hold a box, far to near."""
+        blocks = box.outward(BLOCK_PX).in_cells(BLOCK_PX).slices
+        return [int(index) for index in np.flatnonzero(self.occurs[blocks].any(axis=(0, 1)))]
+
+    def fronts_in(self, box: Box) -> dict[int, Fronts]:
+        """Front parts within a box by their bins, counted from its corner."""
+        within = {index: fronts.within(box) for index, fronts in self._fronts.items()}
+        return {index: fronts for index, fronts in within.items() if len(fronts.y)}
 
     def layer_in_cells(self, index: int, *, cell: int, reach_px: float) -> FloatMap:
         """Make the layer of a bin in cells.
@@ -207,9 +235,26 @@ class SortedPhoto:
         Returns:
             (h, w, 4) float32, light times coverage, and coverage.
         """
+        inner = self._reached(index, box, cell=cell, reach_px=reach_px)
+        if inner != box:
+            layer = np.zeros((box.hw[0] // cell, box.hw[1] // cell, 4), np.float32)
+            if min(inner.hw) > 0:
+                there = inner.seen_from(box).in_cells(cell).slices
+                layer[there] = self._continued(index, inner, cell=cell, reach_px=reach_px)
+            return layer
+        return self._continued(index, box, cell=cell, reach_px=reach_px)
+
+    def _reached(self, index: int, box: Box, *, cell: int, reach_px: float) -> Box:
+        """Narrow a box to where the layer of a bin may be; nothing of it lies outside."""
+        blocks = box_of(self.occurs[..., index])
+        own = Box(*(BLOCK_PX * side for side in blocks.sides))
+        if min(own.hw) == 0:
+            return Box(box.top, box.top, box.left, box.left)
+        return own.grown(math.ceil(reach_px) + BLOCK_PX // 4, hw=self.hw).outward(cell).within(box)
+
+    def _continued(self, index: int, box: Box, *, cell: int, reach_px: float) -> FloatMap:
         seen = self._seen(index, box, cell=cell)
-        behind = (self.rear_bin[box.slices] <= index).view(np.uint8) * np.uint8(255)
-        known_share = shrunk(behind, cell)[..., None] * np.float32(1 / 255)
+        known_share = self._share_up_to(index, box, cell=cell)[..., None]
         layer = np.asarray(seen / np.maximum(known_share, seen[..., 3:] + _TINY), dtype=np.float32)
         known = known_share[..., 0] >= LEAST_KNOWN
         if known.all() or not known.any():
@@ -219,6 +264,14 @@ class SortedPhoto:
         layer[~known & ~hidden] = 0
         layer[hidden] = _smooth(layer, size=FILL_PX // cell | 1).reshape(-1, 4)[source[hidden]]
         return layer
+
+    def _share_up_to(self, index: int, box: Box, *, cell: int) -> FloatMap:
+        """Share (h, w) of each cell that lies in this bin or farther."""
+        if self.up_to is None or cell < SHARE_CELL_PX:
+            behind = (self.rear_bin[box.slices] <= index).view(np.uint8) * np.uint8(255)
+            return np.asarray(shrunk(behind, cell) * np.float32(1 / 255))
+        count = self.up_to[index][box.in_cells(SHARE_CELL_PX).slices].astype(np.float32)
+        return np.asarray(shrunk(count, cell // SHARE_CELL_PX) * np.float32(1 / SHARE_CELL_PX**2))
 
     def _seen(self, index: int, box: Box, *, cell: int) -> FloatMap:
         """Light and coverage (h, w, 4) of a bin's rear parts, in cells."""
@@ -231,13 +284,14 @@ class SortedPhoto:
                 seen[tile.in_cells(cell).slices] = shrunk(own, cell)
         return seen
 
-    def layer_of(self, index: int, box: Box, *, hidden: FloatMap | None) -> FloatMap:
+    def layer_of(self, index: int, box: Box, *, hidden: FloatMap | None, fronts: dict[int, Fronts]) -> FloatMap:
         """Make the layer of a bin at the photo's own size, within a box.
 
         Args:
             index: of the bin.
             box: where.
             hidden: (h, w, 4) of the box: what the bin continues to; None where it hides behind nothing.
+            fronts: within the box, by `fronts_in`.
 
         Returns:
             (h, w, 4) float32, light times coverage, and coverage.
@@ -247,14 +301,14 @@ class SortedPhoto:
         layer = np.asarray(cv2.copyTo(self.rear[box.slices], shown.view(np.uint8)), dtype=np.float32)
         if hidden is not None:
             layer += cv2.copyTo(hidden, (lowest_bin > index).view(np.uint8))
-        for front_index, fronts in self._fronts.items():
+        for front_index, some in fronts.items():
             if front_index < index:
                 continue
-            some = fronts.within(box)
             # Of an outline's pixels only those that hide all: others laid over themselves would hide too much.
             is_shown = (some.lowest_bin <= index) & (some.rgba[:, 3] >= WHOLE_COVERAGE)
-            some = some.at(is_shown | (front_index == index))
-            layer[some.y, some.x] = some.rgba + (1 - some.rgba[:, 3:]) * layer[some.y, some.x]
+            shown_fronts = some.at(is_shown | (front_index == index))
+            y, x, rgba = shown_fronts.y, shown_fronts.x, shown_fronts.rgba
+            layer[y, x] = rgba + (1 - rgba[:, 3:]) * layer[y, x]
         return layer
 
 
@@ -300,10 +354,31 @@ def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> Sort
         )
     fronts = {}
     for index in np.unique(front_bin[split.front[:, 3] > 0]):
-        some = np.flatnonzero((front_bin == index) & (split.front[:, 3] > 0))
-        y, x = split.y[some], split.x[some]
-        fronts[int(index)] = _Fronts(y, x, split.front[some], lowest_front[y, x])
-    return SortedPhoto(rear=rear, rear_bin=rear_bin, lowest_bin=lowest_rear, bins=bins, _fronts=fronts)
+        which = np.flatnonzero((front_bin == index) & (split.front[:, 3] > 0))
+        y, x = split.y[which], split.x[which]
+        fronts[int(index)] = Fronts(y, x, split.front[which], lowest_front[y, x])
+    occurs, up_to = _counted(rear_bin, len(bins.radius_px), is_shared=multiple % SHARE_CELL_PX == 0)
+    for index, some in fronts.items():
+        occurs[some.y // BLOCK_PX, some.x // BLOCK_PX, index] = True
+    return SortedPhoto(rear, rear_bin, lowest_rear, bins=bins, occurs=occurs, up_to=up_to, _fronts=fronts)
+
+
+def _counted(rear_bin: NDArray[np.uint8], n_bins: int, *, is_shared: bool) -> tuple[BoolMap, NDArray[np.uint8] | None]:
+    """Find which bins occur in each block, and how much of each cell lies up to each bin, as `SortedPhoto` has them."""
+    height, width = rear_bin.shape
+    occurs = np.zeros((-(-height // BLOCK_PX), -(-width // BLOCK_PX), n_bins), np.bool_)
+    up_to = np.zeros((n_bins, height // SHARE_CELL_PX, width // SHARE_CELL_PX), np.uint8) if is_shared else None
+    for block in tiles_of((height, width), BLOCK_PX):
+        here = rear_bin[block.slices]
+        present = np.flatnonzero(np.bincount(here.ravel(), minlength=n_bins))
+        occurs[block.top // BLOCK_PX, block.left // BLOCK_PX, present] = True
+        if up_to is not None:
+            for index in present:
+                own = (here == index).view(np.uint8) * np.uint8(SHARE_CELL_PX**2)
+                up_to[index][block.in_cells(SHARE_CELL_PX).slices] = shrunk(own, SHARE_CELL_PX)
+    if up_to is not None:
+        np.cumsum(up_to, axis=0, out=up_to)
+    return occurs, up_to
 
 
 def _lowest(radius_px: FloatMap) -> FloatMap:

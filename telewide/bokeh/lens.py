@@ -16,12 +16,13 @@ import math
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from telewide.bokeh.aperture import DISK, QUARTERS, Aperture, spot_of
-from telewide.bokeh.layers import Box, SortedPhoto, box_of, shrunk, sort_photo, tiles_of
+from telewide.bokeh.layers import Box, Fronts, SortedPhoto, box_of, shrunk, sort_photo, tiles_of
 from telewide.cores import usable_cores
 from telewide.geometry.arrays import FloatImage, FloatMap
 
@@ -45,6 +46,8 @@ class _Seen:
 
     def at(self, box: Box, *, cell: int) -> _Seen:
         """Cut out a box within this one, in cells of this size or finer; the sides of the box are multiples of both."""
+        if box == self.box and cell == self.cell:
+            return self
         factor = self.cell // cell
         wanted = box.seen_from(self.box)
         around = wanted.outward(self.cell).grown(self.cell, hw=self.box.hw)
@@ -80,8 +83,9 @@ class _View:
         return _cell_of(self.radius_px(index))
 
     def reach_px(self, index: int) -> float:
-        """Distance to which a bin may be seen behind nearer ones."""
-        return (abs(self.radius_px(index)) + self.largest_px) * self.aperture.reach + 1
+        """Distance to which a bin may be seen behind nearer ones: by its own disk, and through their edges."""
+        nearer_px = float(np.abs(self.photo.bins.radius_px[index:]).max())
+        return (abs(self.radius_px(index)) + nearer_px) * self.aperture.reach + 1
 
     @property
     def fill_cell(self) -> int:
@@ -99,7 +103,9 @@ def spread_light(light: FloatImage, radius_px: FloatMap, *, aperture: Aperture =
     Returns:
         (H, W, 3) float32, linear light, nowhere outside the range of the input.
     """
+    height, width = radius_px.shape
     photo = sort_photo(light, radius_px, multiple=_cell_of(float(np.abs(radius_px).max())))
+    del light, radius_px  # where nobody else holds them, an eighth of the memory
     view = _View(photo, aperture)
     present = photo.bins_in(view.frame)
     fine = [index for index in present if view.cell(index) <= FINE_CELL_PX]
@@ -114,7 +120,7 @@ def spread_light(light: FloatImage, radius_px: FloatMap, *, aperture: Aperture =
 
     with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
         list(pool.map(draw, tiles_of(photo.hw, TILE_PX)))
-    return spread[: light.shape[0], : light.shape[1]]
+    return spread[:height, :width]
 
 
 def _cell_of(radius_px: float) -> int:
@@ -154,26 +160,26 @@ def _drawn(
     halo_px = math.ceil(CELLS_A_RADIUS * FINE_CELL_PX * view.aperture.reach) + 4
     box = tile.grown(halo_px // 2 * 2, hw=view.photo.hw)
     in_sight = view.photo.bins_in(box)
-    if len(in_sight) == 1 and abs(view.radius_px(in_sight[0])) <= IN_FOCUS_PX:
-        fine, far = in_sight, None
-    else:
-        reach_px = math.ceil(2 * view.largest_px * view.aperture.reach)
-        around = view.photo.bins_in(tile.grown(reach_px, hw=view.photo.hw))
-        fine = [index for index in fine if index in around]
+    reach_px = math.ceil(2 * view.largest_px * view.aperture.reach)
+    around = view.photo.bins_in(tile.grown(reach_px, hw=view.photo.hw))
+    fine = [index for index in fine if index in around and index <= in_sight[-1]]
+    if all(index in fine for index in in_sight):  # what lies behind the farthest of them is hidden by it
+        fine, far = [index for index in fine if index >= in_sight[0]], None
     halves = [index for index in fine if view.cell(index) == FINE_CELL_PX]
     layers = _FineLayers(view, box, hidden)
     seen = layers.laid(far, [index for index in halves if view.radius_px(index) < 0], is_over=True)
     seen = layers.laid(seen, [index for index in fine if view.cell(index) == 1], is_over=True)
     nearer = layers.laid(near, [index for index in reversed(halves) if view.radius_px(index) > 0], is_over=False)
     inside = tile.seen_from(box).slices
-    total = np.zeros((*tile.hw, 3), np.float32)
     quarters = [quarter[inside] for quarter in (seen or _nothing(box, 1)).at(box, cell=1).quarters]
     if nearer is not None:
         quarters = _laid([quarter[inside] for quarter in nearer.at(box, cell=1).quarters], quarters)
     shares = [view.aperture.share_of(quarter) for quarter in QUARTERS] if len(quarters) > 1 else [1.0]
+    total = np.zeros((*tile.hw, 4), np.float32)
     for share, quarter in zip(shares, quarters, strict=True):
-        total += quarter[..., :3] * (np.float32(share) / np.maximum(quarter[..., 3:], np.float32(1e-6)))
-    return total
+        weight = np.float32(share) / np.maximum(quarter[..., 3], np.float32(1e-6))
+        total += np.asarray(cv2.merge([weight] * 4), dtype=np.float32) * quarter
+    return total[..., :3]
 
 
 @dataclass(frozen=True)
@@ -183,6 +189,10 @@ class _FineLayers:
     view: _View
     box: Box
     hidden: dict[int, _Seen]
+
+    @cached_property
+    def fronts(self) -> dict[int, Fronts]:
+        return self.view.photo.fronts_in(self.box)
 
     def laid(self, seen: _Seen | None, order: list[int], *, is_over: bool) -> _Seen | None:
         """Lay layers of one size of cells each over what is seen already, or under it."""
@@ -198,12 +208,12 @@ class _FineLayers:
         """A layer at the photo's own size."""
         photo, box = self.view.photo, self.box
         if not (photo.rear_bin[box.slices] > index).any():
-            return photo.layer_of(index, box, hidden=None)
+            return photo.layer_of(index, box, hidden=None, fronts=self.fronts)
         whole = self.hidden.get(index)
         if whole is None:
             margin_px = math.ceil(self.view.reach_px(index))
             whole = _hidden(self.view, index, box.grown(margin_px, hw=photo.hw).outward(self.view.fill_cell))
-        return photo.layer_of(index, box, hidden=whole.at(box, cell=1).quarters[0])
+        return photo.layer_of(index, box, hidden=whole.at(box, cell=1).quarters[0], fronts=self.fronts)
 
 
 def _nothing(box: Box, cell: int) -> _Seen:
@@ -221,9 +231,15 @@ def _add(seen: _Seen, layer: FloatMap, view: _View, *, index: int, is_over: bool
     spots = _spots(layer[there], radius_px, cell=seen.cell, aperture=view.aperture)
     if len(spots) > len(seen.quarters):
         seen.quarters.extend(seen.quarters[0].copy() for _ in QUARTERS[1:])
-    under = [quarter[there] for quarter in seen.quarters]
-    for quarter, laid in zip(under, _laid(spots, under) if is_over else _laid(under, spots), strict=True):
-        quarter[...] = laid
+    for whole, spot in zip(seen.quarters, spots * (len(seen.quarters) // len(spots)), strict=True):
+        quarter = whole[there]
+        passing = np.asarray(cv2.merge([1 - (spot if is_over else quarter)[..., 3]] * 4), dtype=np.float32)
+        if is_over:
+            quarter *= passing
+            quarter += spot
+        else:
+            passing *= spot
+            quarter += passing
 
 
 def _laid(over: Quarters, under: Quarters) -> Quarters:

@@ -25,6 +25,7 @@ from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 LARGEST_RADIUS_SHARE = 0.1  # of the shorter side: f/1.8 at half a metre stays below
 STRIP_ROWS = 128
+SAMPLED_PX = 1 << 20  # so many pixels tell how far disparities reach
 
 
 def render_bokeh(
@@ -65,17 +66,24 @@ def render_bokeh(
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
     cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
-    away_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
-    radius_px = np.clip(away_px * radius_per_px, -cap_px, cap_px).astype(np.float32)
+    radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
+    radius_px *= np.float32(radius_per_px)
+    np.clip(radius_px, -cap_px, cap_px, out=radius_px)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
         return image_srgb.astype(np.float32, copy=True)
-    light = with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights)
-    return _by_strips(srgb_from_linear, spread_light(light, radius_px, aperture=aperture))
+    spread = spread_light(
+        with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights),
+        radius_px,
+        aperture=aperture,
+    )
+    return _by_strips(srgb_from_linear, spread, out=spread)
 
 
-def _by_strips(convert: Callable[[FloatImage], FloatImage], image: FloatImage) -> FloatImage:
+def _by_strips(
+    convert: Callable[[FloatImage], FloatImage], image: FloatImage, *, out: FloatImage | None = None
+) -> FloatImage:
     """Convert values strip by strip, so that what a formula leaves between its steps stays small."""
-    converted = np.empty(image.shape, np.float32)
+    converted = np.empty(image.shape, np.float32) if out is None else out
 
     def convert_some(top: int) -> None:
         converted[top : top + STRIP_ROWS] = convert(image[top : top + STRIP_ROWS])
@@ -139,7 +147,11 @@ def largest_step_px(
     Raises:
         InputError: the map holds no known value.
     """
-    known_px = disparity_px[np.isfinite(disparity_px)]
+    step = max(round(math.sqrt(disparity_px.size / SAMPLED_PX)), 1)
+    some_px = disparity_px[step // 2 :: step, step // 2 :: step]
+    known_px = some_px[np.isfinite(some_px)]
+    if len(known_px) == 0:
+        known_px = disparity_px[np.isfinite(disparity_px)]
     if len(known_px) == 0:
         raise InputError("the disparity map holds no known value")
     ends_px = np.percentile(known_px, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT))
