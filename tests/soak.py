@@ -51,8 +51,9 @@ MANY = [int(count) for count in os.environ.get("TELEWIDE_CAPTURES", "10,100,1000
 SIDES = {12: (4000, 3000), 50: (8192, 6144), 200: (16384, 12288)}
 LARGE = [int(megapixels) for megapixels in os.environ.get("TELEWIDE_MEGAPIXELS", "12,50,200").split(",")]
 TINY = (
-    "--quiet --recipe quick --set train.rehearsal.steps=20 --set train.crop_hw=[64,64] --set train.photometric.steps=0 "
-    "--set train.stages=0 --set train.judge_every_steps=5"
+    "--quiet --recipe quick --set network=lite --set train.start=scratch --set train.crop_hw=[64,64] "
+    "--set train.rehearsal.steps=10 --set train.rehearsal.least_steps=1 --set train.photometric.steps=10 "
+    "--set train.photometric.least_steps=1 --set train.stages=0 --set train.judge_every_steps=5"
 )
 COMMANDS = {
     "depth": "depth captures --method sgm --bokeh --quiet",
@@ -214,19 +215,19 @@ def kill(base: Path) -> None:
     generator = random.Random(SEED)
     for name, command in COMMANDS.items():
         folder = copied(base, f"kill-{name}")
-        whole_s = done(command, folder).wall_s
+        whole = done(command, folder)
         n_cut = 0
         for _ in range(N_KILLS):
             forget(folder)
             call = started(command, folder)
-            time.sleep(generator.uniform(0, whole_s))
+            time.sleep(generator.uniform(0, whole.wall_s))
             os.killpg(call.pid, signal.SIGKILL)
             n_cut += call.end().code == -signal.SIGKILL
             done(lambda folder=folder: refuse_pieces(folder), folder)
             done(command, folder)
             done(lambda folder=folder: refuse_pieces(folder), folder)
             assert not list(folder.rglob(".telewide-*")), "what was left is removed by the next call"
-        tell(f"kill {name}: {N_KILLS} calls killed, {n_cut} before their end ({whole_s:.0f} s), all went on")
+        tell(f"kill {name}: {N_KILLS} calls killed, {n_cut} before their end, all went on; a whole one: {cost(whole)}")
 
 
 def full(base: Path) -> None:

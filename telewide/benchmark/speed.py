@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.memory import SGM, MemoryCase, MemoryPeak, measure_peak
 from telewide.benchmark.report import BenchmarkReport, describe_machine, markdown_table, number
 from telewide.benchmark.timing import Timing, time_side_by_side
@@ -34,7 +35,7 @@ class SpeedOptions:
     """Options of the timing: what runs, and how often.
 
     Attributes:
-        matchers: sgm and networks by name; empty for all.
+        matchers: sgm and networks by name, or ``network`` for the one that comes with telewide; empty for all.
         device: auto, cpu or cuda.
         repeats: timed turns.
         warm_up: turns before them.
@@ -56,6 +57,8 @@ class SpeedOptions:
     image_window: Window = (0, 64)
 
 
+NETWORK = "network"
+"""As `--method` calls it: the network that comes with telewide."""
 Variant = tuple[str, str]
 """A matcher and the precision it computes in."""
 
@@ -108,15 +111,18 @@ def _variants(options: SpeedOptions) -> list[Variant]:
     from telewide.benchmark.networks import available_precisions
     from telewide.matching.inference import choose_device
     from telewide.matching.networks import NETWORKS
+    from telewide.training.checkpoint import read_card
 
     known = (SGM, *NETWORKS)
-    for name in options.matchers:
+    matchers = [read_card(BOX_WEIGHTS).network if name == NETWORK else name for name in options.matchers]
+    for name in matchers:
         if name not in known:
-            raise UsageError(f"unknown matcher {name!r}", hint=f"known matchers: {', '.join(known)}")
+            hint = f"known matchers: {', '.join(known)}, and {NETWORK} for the one that comes with telewide"
+            raise UsageError(f"unknown matcher {name!r}", hint=hint)
     precisions = available_precisions(choose_device(options.device))
     return [
         (name, precision)
-        for name in options.matchers or known
+        for name in dict.fromkeys(matchers) or known
         for precision in ((NO_PRECISION,) if name == SGM else precisions)
     ]
 

@@ -14,6 +14,7 @@ What is wrong with one capture is a `Problem` and leaves the others alone.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections import defaultdict
 from collections.abc import Iterable
@@ -42,7 +43,8 @@ from telewide.files import is_file, is_folder, refuse_other_than_folder
 
 _TRUTH_SUFFIX = ".pfm"
 TRUTH = "truth"
-_UNREAD, _CLOSED = "unread", "closed"
+_UNREAD, _CLOSED, _OTHER = "unread", "closed", "other"
+_ALIKE = 0.6  # of names, by difflib
 _MAX_LISTED = 5
 _ROLE_SUFFIX = re.compile(
     r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))",
@@ -178,9 +180,12 @@ def _add_capture_folder(found: _Candidates, folder: Path) -> None:
         role = file.stem.casefold()
         if role in {*VIEWS, TRUTH}:
             found[key][_role_or_unread(file, role)].append(file)
-    if key not in found and any(is_photo_name(file) for file in files):
+    others = [file for file in files if is_photo_name(file) and file.stem.casefold() not in VIEWS]
+    if key in found:
+        found[key][_OTHER] = others
+    elif others:
         found[key]["unnamed"].extend(files)
-    elif key not in found:
+    else:
         unread = [file for file in files if _is_unread(file)]
         if unread:
             found[key][_UNREAD] = unread
@@ -233,17 +238,25 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
     if _CLOSED in roles:
         return f"{roles[_CLOSED][0]} cannot be opened"
     if "unnamed" in roles:
-        return f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
+        told = f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
+        return told + "".join(_misspelt(view, roles["unnamed"]) for view in VIEWS)
     for view, other in (VIEWS, VIEWS[::-1]):
         if not photos_among(roles.get(view, [])):
             if roles.get(_UNREAD):
                 return f"{listed(roles[_UNREAD])} cannot be read; {READ_KINDS} are read"
             present = roles.get(other) or roles.get("truth") or []
-            return f"the {view} view is missing; found {listed(present)}"
+            return f"the {view} view is missing; found {listed(present)}{_misspelt(view, roles.get(_OTHER, []))}"
     tele, wide = _pair(roles)
     if is_same_file(tele, wide):
         return f"{tele} and {wide} are the same picture; two different photos were expected"
     return None
+
+
+def _misspelt(view: str, files: Iterable[Path]) -> str:
+    """Words that ask to rename the photo whose name is nearly that of a view; none where there is no such photo."""
+    photos = {file.stem.casefold(): file for file in files if is_photo_name(file)}
+    near = difflib.get_close_matches(view, photos, n=1, cutoff=_ALIKE)
+    return "".join(f"; rename {photos[stem].name} to {view}{photos[stem].suffix} if that is it" for stem in near)
 
 
 def _ambiguities(name: str, view: str, taken: Path, paths: Iterable[Path]) -> list[Problem]:

@@ -53,7 +53,8 @@ PsmnetOption = Annotated[
 def speed(
     *,
     matcher: Annotated[
-        list[str] | None, typer.Option(help="sgm or a network by name; may be repeated. [default: all]")
+        list[str] | None,
+        typer.Option(help="sgm, network (that in the box) or a network by name; may be repeated. [default: all]"),
     ] = None,
     repeats: Annotated[int, typer.Option(min=1, help="Timed turns of each.")] = 7,
     warm_up: Annotated[int, typer.Option(min=0, help="Turns before them that do not count.")] = 2,

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 _LINE_EVERY_S = 15.0
 """Where there is no terminal, a training says so often how far it is."""
+_MOST_LINES = 20
+"""Likewise of captures and shots: a line for each of so many, or for every second, third, ... of more."""
 _LOSS_MEMORY = 0.97
 _RECENT_STEPS = 31
 """The median of so many steps is the pace: neither an hour of sleep nor a busy minute long ago counts."""
@@ -56,6 +58,9 @@ class ConsoleObserver:
     warnings: list[str] = field(default_factory=list)
     _progress: Progress | None = None
     _task: TaskID | None = None
+    _label: str = ""
+    _total: int = 0
+    _done: int = 0
     _loss: float = math.nan
     _last_line_s: float = field(default_factory=time.monotonic)
     _judgement: str = ""
@@ -67,6 +72,7 @@ class ConsoleObserver:
         if self._progress is not None:
             self._progress.stop()
         self._progress = self._task = None
+        self._total = 0
 
     def preparing(self, captures: CaptureSet) -> None:
         """Show a bar over the captures."""
@@ -75,7 +81,7 @@ class ConsoleObserver:
 
     def pair_prepared(self, report: PairReport | None) -> None:
         """Move the bar."""
-        self._advance()
+        self._advance(name="" if report is None else report.name)
 
     def set_prepared(self, prepared: PreparedSet) -> None:
         """Print the table of the captures and the problems."""
@@ -122,7 +128,7 @@ class ConsoleObserver:
         self.close()
         self._loss, self._last_line_s = math.nan, time.monotonic()
         self._recent_s.clear()
-        self._begin(stage.name, total=stage.options.steps, done=first_step)
+        self._begin(stage.name, total=stage.options.steps, done=first_step, has_lines=False)
 
     def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
         """Move the bar; say the loss."""
@@ -156,12 +162,12 @@ class ConsoleObserver:
         """Move the bar; say what was left out, and do not keep back what is less than was asked for."""
         for note in outcome.notes:
             (self.warned if note in outcome.shortcomings else self.said)(note)
-        self._advance()
+        self._advance(name=outcome.name)
 
     def depth_failed(self, problem: Problem) -> None:
         """Say which capture was skipped."""
         self._warn([problem])
-        self._advance()
+        self._advance(name=problem.name)
 
     def said(self, message: str) -> None:
         """Print a line."""
@@ -177,9 +183,12 @@ class ConsoleObserver:
             text = f"{verb}: {problem.name}: {problem.message}"
             self.console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
-    def _begin(self, label: str, *, total: int, done: int = 0) -> None:
+    def _begin(self, label: str, *, total: int, done: int = 0, has_lines: bool = True) -> None:
         self.close()
-        if self.is_quiet or not self.console.is_terminal:
+        if self.is_quiet:
+            return
+        if not self.console.is_terminal:
+            self._label, self._total, self._done = label, total if has_lines else 0, done
             return
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -192,9 +201,13 @@ class ConsoleObserver:
         self._progress.start()
         self._task = self._progress.add_task(label, total=total, completed=done, note="")
 
-    def _advance(self, note: str = "") -> None:
+    def _advance(self, note: str = "", *, name: str = "") -> None:
         if self._progress is not None and self._task is not None:
             self._progress.update(self._task, advance=1, note=note)
+        self._done += 1
+        every = math.ceil(self._total / _MOST_LINES)
+        if every and (self._done % every == 0 or self._done == self._total):
+            self.said(f"{self._label} {self._done}/{self._total}{name and f': {name}'}")
 
 
 def captures_table(reports: Sequence[PairReport]) -> Table:

@@ -67,6 +67,7 @@ def train(
                 "weights": str(outcome.weights),
                 "is_new": outcome.is_new,
                 "best_stage": outcome.best_stage,
+                "best_step": outcome.best_step,
                 "clipped_px": dict(outcome.stages),
                 "warnings": list(observer.warnings),
             }

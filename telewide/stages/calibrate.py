@@ -26,7 +26,7 @@ from telewide.calibration.rig_file import RIG_FILE, RigFacts, stored_rig, write_
 from telewide.calibration.solver import calibrate_rig
 from telewide.capture.exif import UPRIGHT_DEG, common_pipeline, read_photo_facts
 from telewide.capture.pair import Capture, read_photos
-from telewide.errors import InputError, TelewideError
+from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import is_folder
 from telewide.pages.board_rig import board_rig_page
 from telewide.pages.report import NextStep
@@ -138,7 +138,7 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
         UsageError: no such folder or board, or a size no board has.
         InputError: no photo shows the board, the two lenses are exchanged, or no rig explains the photos.
     """
-    shots = with_checked_facts(find_board_shots(boards))
+    shots = with_checked_facts(_found_shots(boards))
     observer.said(f"{counted(len(shots), 'shot')} in {boards}")
     pipeline = common_pipeline(_paths(shots))
     photos = _first_photos(shots)
@@ -166,6 +166,18 @@ def calibrate_shots(boards: Path, *, options: CalibrateOptions, observer: Observ
         notes=chosen.notes,
     )
     return SolvedBoards(shots=shots, calibration=calibration, board=chosen, facts=facts, notes=notes, photos=photos)
+
+
+def _found_shots(boards: Path) -> tuple[BoardShot, ...]:
+    try:
+        return find_board_shots(boards)
+    except UsageError as error:
+        scenes = command_line("calibrate", CAPTURES_FOLDER, from_scenes=True)
+        hint = (
+            f"print a board ({command_line('board')} lists them), photograph it with both lenses into "
+            f"{boards}/1/tele.jpg and wide.jpg, and so on; or go without one, from captures of scenes: {scenes}"
+        )
+        raise UsageError(error.message, hint=hint) from error
 
 
 def _orientations(shots: Sequence[BoardShot]) -> tuple[int, int] | None:

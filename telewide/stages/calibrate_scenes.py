@@ -32,7 +32,7 @@ from telewide.calibration.scene_rig import FocalPrior, SceneRig, SceneStd, Side
 from telewide.calibration.scene_solver import MIN_SCENE_MATCHES, first_rig, rig_from_scenes
 from telewide.capture.exif import PhotoFacts, common_pipeline, read_photo_facts
 from telewide.capture.lenses import with_checked_lenses
-from telewide.capture.pair import Capture, PhotoPair, Problem, find_captures, read_photos
+from telewide.capture.pair import Capture, CaptureSet, PhotoPair, Problem, find_captures, read_photos
 from telewide.correction.refinement import fit_shot, refined_rig
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatArray
@@ -130,7 +130,7 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observe
         UsageError: no such folder, or wide cannot stand where it is stated to.
         InputError: the photos do not state their focal length, differ in kind, or too few of them match.
     """
-    found = with_checked_lenses(find_captures(captures))
+    found = with_checked_lenses(_found_captures(captures))
     problems = tuple(_spoken(problem) for problem in found.problems)
     if not found.captures:
         raise InputError(f"{captures}: no capture can be used" + "".join(f"\n  {line}" for line in problems))
@@ -155,6 +155,15 @@ def calibrate_scenes(captures: Path, *, options: SceneOptions, observer: Observe
     write_stored_rig(options.out, stored)
     report = _write_report(captures, matched, evidence, stored=stored, options=options)
     return CalibrationRun(stored, options.out, report, (*evidence.whole.notes, *problems, *matched.notes))
+
+
+def _found_captures(captures: Path) -> CaptureSet:
+    try:
+        return find_captures(captures)
+    except UsageError as error:
+        roll = command_line("import", "DCIM", captures)
+        hint = f"put pairs into {captures}/1/tele.jpg and wide.jpg, and so on; or take them from a roll: {roll}"
+        raise UsageError(error.message, hint=hint) from error
 
 
 def _spoken(problem: Problem) -> str:

@@ -9,14 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide import __version__
+from telewide.assets import BOX_WEIGHTS
 from telewide.errors import MissingPartError, QualityError, UsageError, extra_hint, within_memory
 from telewide.files import changing, is_file, is_folder, replacing
 from telewide.matching.window import Window, check_stated_window
+from telewide.stages.rig_run import CAPTURES_FOLDER
 from telewide.stages.run_folder import RunFolder
+from telewide.text import command_line
 
 if TYPE_CHECKING:
     from telewide.matching.onnx_check import OnnxComparison
 
+DEFAULT_RUN = Path("run")
 MODEL_NAME = "telewide.onnx"
 LEAST_SIDE_PX, MOST_SIDE_PX, MOST_PIXELS = 64, 16384, 1 << 24
 MOST_SPAN_PX = 1024
@@ -73,10 +77,8 @@ def export_model(
         MissingPartError: the extra ``onnx`` is not installed.
         QualityError: onnxruntime computes something else; nothing was written.
     """
-    found = RunFolder(weights).weights if is_folder(weights) else weights
     # All that can be refused is, before torch is imported, which takes seconds.
-    if not is_file(found):
-        raise UsageError(f"{found} does not exist; a run folder with a trained network, or its weights, was expected")
+    found = _weights_of(weights)
     _refuse_impossible(window, hw)
     _prepare_place(path)
     _require_parts()
@@ -116,6 +118,18 @@ def refuse_difference(path: Path, comparisons: Sequence[OnnxComparison]) -> None
             f"{100 * MOST_DIFFERING:g} % at most was expected",
             hint="install the versions of constraints.txt, which were seen to agree",
         )
+
+
+def _weights_of(place: Path) -> Path:
+    """Find the weights of a run folder, or the file itself."""
+    found = RunFolder(place).weights if is_folder(place) else place
+    if is_file(found):
+        return found
+    train = command_line("train", CAPTURES_FOLDER, out=None if place.suffix or place == DEFAULT_RUN else place)
+    raise UsageError(
+        f"{found} does not exist; a run folder with a trained network, or its weights, was expected",
+        hint=f"train one: {train}; or name the one that comes with telewide: {BOX_WEIGHTS}",
+    )
 
 
 def _prepare_place(path: Path) -> None:

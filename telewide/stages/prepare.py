@@ -57,7 +57,7 @@ from telewide.stages.call import Call, alone
 from telewide.stages.kept_pairs import SHOT_NAME, files_of_pair, key_of, read_kept, write_pair
 from telewide.stages.pair_record import RECORD_NAME, ColourFigures, PairRecord
 from telewide.stages.pairs import PreparedPair, PreparedSet
-from telewide.stages.rig import how_to_calibrate, lying_rig
+from telewide.stages.rig import how_to_calibrate, lying_rig, where_rig_lies
 from telewide.stages.run_folder import RunFolder
 from telewide.text import command_line
 
@@ -101,8 +101,11 @@ def prepare(call: Call) -> PreparedSet:
         QualityError: none can be used, and all because of what was measured on them.
     """
     captures, recipe, heard = call.captures, call.recipe, call.observer.pair_prepared
+    rig_file = call.rig_file or lying_rig(captures)
+    if call.rig is not None and rig_file is not None:
+        call.observer.said(f"rig: {where_rig_lies(rig_file, captures, is_stated=call.rig_file is not None)}")
     if call.rig is not None and call.rig.quality.verdict == "insufficient":
-        shown = command_line("show", call.rig_file or lying_rig(captures))
+        shown = command_line("show", rig_file)
         call.observer.warned(f"the rig is marked insufficient: {shown} says what to photograph for a better one")
     call.observer.preparing(captures)
     with alone(call.processes, call.folder.pairs, observer=call.observer):

@@ -52,6 +52,19 @@ def lying_rig(captures: CaptureSet) -> Path | None:
     return next((rig for folder in folders if (rig := find_yaml(folder, RIG_FILE.stem))), None)
 
 
+def where_rig_lies(rig: Path, captures: CaptureSet, *, is_stated: bool) -> str:
+    """Name the rig that is used; of one that nobody named, that it lies outside the captures' folder if it does.
+
+    Args:
+        rig: its file.
+        captures: what is rectified with it.
+        is_stated: whether its user named it.
+    """
+    if is_stated or rig.parent == captures.root:
+        return str(rig)
+    return f"{rig}, found outside {captures.root}; if it is another phone's, name the right one with --rig"
+
+
 def refuse_without_rig(captures: CaptureSet, *, rig: StoredRig | None) -> None:
     """Stop before anything is computed where photos straight from a phone have no rig.
 

@@ -45,6 +45,7 @@ from telewide.training.checkpoint import (
     load_state,
     new_optimiser,
     new_state,
+    read_card,
     save_state,
 )
 from telewide.training.judge import JUDGE_SEED, Judge, crops_judge, joined_judge, judge_stage, network_judge
@@ -74,12 +75,23 @@ class TrainOutcome:
         is_new: False where nothing was left to do.
         stages: name and last judgement of each finished stage.
         best_stage: the stage whose weights are the result.
+        best_step: of that stage; 0 for the weights it began with, None where nobody recorded it.
     """
 
     weights: Path
     is_new: bool
     stages: Mapping[str, float]
     best_stage: str
+    best_step: int | None = None
+
+    @property
+    def told(self) -> str:
+        """One line on which weights the result is."""
+        off_px = self.stages.get(self.best_stage, math.nan)
+        figure = "too few matches to judge by" if math.isnan(off_px) else f"{off_px:.3f} px off at the held-out matches"
+        if self.best_step == 0:
+            return f"result: the weights that {self.best_stage} began with, {figure}; no step was judged better"
+        return f"result: {self.best_stage}, step {self.best_step}, {figure}"
 
 
 def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
@@ -103,6 +115,8 @@ def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
     timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
     asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}
     record_call(call, prepared, command="train", options=asked, timings=timings)
+    if outcome.is_new:
+        call.observer.said(outcome.told)
     return outcome
 
 
@@ -297,7 +311,9 @@ def workers_for(device: torch.device) -> int:
 def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
     """Sum up a finished training."""
     stages = {stage.name: value for stage, value in zip(plan, state.stage_judgements, strict=False)}
-    return TrainOutcome(run.weights, is_new, stages, plan[state.best_stage].name)
+    step = read_card(run.weights).training.get("step")
+    best_step = step if isinstance(step, int) else None
+    return TrainOutcome(run.weights, is_new, stages, plan[state.best_stage].name, best_step=best_step)
 
 
 def forget(run: RunFolder) -> None:

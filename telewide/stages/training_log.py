@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,10 +62,27 @@ class LoggedReporter:
             sheet = contact_sheet(self.rows(network), title=f"{stage.name}")
             write_sheet(self.run.train / f"{stage.name}.png", sheet)
         self.inner.stage_finished(stage, network=network, judgement=judgement)
+        self.inner.said(f"{stage.name} is done: {self._what_is_kept(stage, judgement['clipped_px'])}")
 
     def said(self, message: str) -> None:
         """Pass a line on."""
         self.inner.said(message)
+
+    def _what_is_kept(self, stage: Stage, result_px: float) -> str:
+        """Say which weights a stage results in, by what was judged in it."""
+        if stage.is_teaching_space:
+            return "its feature space is learned"
+        if math.isnan(result_px):
+            return "its last weights are kept; too few matches to judge by"
+        lines = [line for line in read_log(self.run.training_log) if line.stage_index == stage.index]
+        judged_px = {line.step: line.judgement["clipped_px"] for line in lines if "clipped_px" in line.judgement}
+        step = next((step for step, off_px in judged_px.items() if off_px == result_px), None)
+        figure = f"{result_px:.3f} px off at the held-out matches"
+        if step == 0:
+            return f"the weights it began with are kept, {figure}; no step of it was judged better"
+        kept = "its weights are" if step is None else f"the weights of step {step} are"
+        before = f", {judged_px[0]:.3f} px before" if 0 in judged_px else ""
+        return f"{kept} kept, {figure}{before}"
 
     def _forget_sums(self) -> None:
         self._sums.clear()

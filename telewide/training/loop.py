@@ -330,7 +330,7 @@ def _end_stage(
     training: Training, state: TrainingState, stage: Stage, plan: tuple[Stage, ...], reporter: Reporter
 ) -> None:
     """Keep the stage's result; go on, or stop boosting when it no longer helps."""
-    result, step = _take_result(training, state, stage, reporter)
+    result, step = _take_result(training, state, stage)
     card = _card(training, stage, step=step, judgements=[result])
     if training.processes.is_writer and not stage.is_teaching_space:
         save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
@@ -355,7 +355,7 @@ def go_on(state: TrainingState) -> None:
     state.is_finished, state.stage_index, state.step, state.best = False, state.stage_index + 1, 0, None
 
 
-def _take_result(training: Training, state: TrainingState, stage: Stage, reporter: Reporter) -> tuple[float, int]:
+def _take_result(training: Training, state: TrainingState, stage: Stage) -> tuple[float, int]:
     """Make the average the stage's result; the figure it is judged by, and the step it is of."""
     best = state.best
     if training.options.keeps == "last":
@@ -365,8 +365,6 @@ def _take_result(training: Training, state: TrainingState, stage: Stage, reporte
     if best is None:
         return math.nan, state.step
     state.average.load_state_dict(best.weights)
-    if best.step < state.step:
-        reporter.said(f"{stage.name}: the weights of step {best.step} are kept, which were judged best")
     return best.judgement, best.step
 
 

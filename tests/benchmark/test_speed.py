@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+import dataclasses
 import json
+import re
 import sys
 from pathlib import Path
 
 import pytest
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.memory import SGM, MemoryCase, measure_peak, peak_resident_bytes
 from telewide.benchmark.report import write_report_json
 from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
 from telewide.errors import TelewideError, UsageError
+from telewide.training.checkpoint import read_card
 
 TINY = SpeedOptions(
     device="cpu",
@@ -57,6 +61,15 @@ def test_a_child_that_fails_is_told() -> None:
 def test_wrong_options_are_refused(options: SpeedOptions) -> None:
     with pytest.raises(UsageError):
         measure_speed(options, tell=lambda _: None)
+
+
+def test_a_matcher_may_be_called_as_the_option_method_calls_it() -> None:
+    once = dataclasses.replace(TINY, matchers=("network", "sgm", read_card(BOX_WEIGHTS).network))
+    names = [row["matcher"] for row in measure_speed(once, tell=lambda _: None).rows]
+    assert list(dict.fromkeys(names)) == [read_card(BOX_WEIGHTS).network, SGM]
+    with pytest.raises(UsageError, match="unknown matcher 'netwrk'") as caught:
+        measure_speed(dataclasses.replace(TINY, matchers=("netwrk",)), tell=lambda _: None)
+    assert {"sgm", "network", "guided"} <= set(re.findall(r"[\w-]+", str(caught.value.hint)))
 
 
 @pytest.mark.slow

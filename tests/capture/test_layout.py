@@ -193,12 +193,19 @@ def the_problem(folder: Path) -> str:
         (["bad_wide.jpg"], "the tele view is missing; found bad_wide.jpg"),
         (["tele/bad.jpg"], "the wide view is missing; found bad.jpg"),
         (["bad/truth.pfm"], "the tele view is missing; found truth.pfm"),
-        (["bad/telle.jpg", "bad/wide_.jpg"], "bad holds neither tele.* nor wide.*"),
+        (["bad/one.jpg", "bad/two.jpg"], "bad holds neither tele.* nor wide.*"),
+        (["bad/telle.jpg", "bad/one.jpg"], "neither tele.* nor wide.*; rename telle.jpg to tele.jpg if that is it"),
+        (["bad/tel.jpg", "bad/wide.jpg"], "found wide.jpg; rename tel.jpg to tele.jpg if that is it"),
+        (["bad/tele.jpg", "bad/Wiede.JPG"], "found tele.jpg; rename Wiede.JPG to wide.JPG if that is it"),
         (["bad/tele.pfm", "bad/wide.jpg"], "the tele view is missing; found wide.jpg"),
     ],
 )
 def test_a_capture_that_cannot_be_used(tmp_path: Path, names: list[str], message: str) -> None:
     assert message in the_problem(fill(tmp_path, names))
+
+
+def test_no_photo_is_renamed_whose_name_is_not_near(tmp_path: Path) -> None:
+    assert the_problem(fill(tmp_path, ["bad/IMG_2041.jpg", "bad/wide.jpg", "bad/wide_2.jpg"])).endswith("wide.jpg")
 
 
 @pytest.mark.parametrize("link", ["hardlink", "symlink", "copy"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from telewide.capture.pair import Capture, CaptureFacts
+from telewide.capture.pair import Capture, CaptureFacts, Problem
 from telewide.cli.progress import ConsoleObserver, captures_table
 from telewide.correction.verdict import PairReport, Verdict
 from telewide.points.held_out import HeldOut
@@ -72,6 +72,30 @@ def test_the_table_names_captures_as_they_are_called() -> None:
     assert isinstance(told.file, io.StringIO)
     cells = told.file.getvalue().splitlines()[1].split()
     assert (cells[0], cells[1], cells[-1]) == ("beach[red]", "9", "doubtful")
+
+
+@pytest.mark.parametrize(("total", "every"), [(3, 1), (20, 1), (21, 2), (1000, 50)])
+def test_without_a_terminal_lines_say_how_far_it_is(total: int, every: int) -> None:
+    console = Console(file=io.StringIO(), width=200)
+    observer = ConsoleObserver(console)
+    observer.matching(total, method="sgm")
+    for number in range(1, total):
+        observer.depth_written(DepthOutcome(f"{number:03d}", (), (), {}))
+    observer.depth_failed(Problem("bad", "why"))
+    assert isinstance(console.file, io.StringIO)
+    *lines, failed, last = console.file.getvalue().splitlines()
+    assert lines == [f"depth (sgm) {number}/{total}: {number:03d}" for number in range(every, total, every)]
+    assert (failed, last) == ("skipped: bad: why", f"depth (sgm) {total}/{total}: bad")
+
+
+def test_a_terminal_has_its_bar_and_no_such_lines() -> None:
+    console = Console(file=io.StringIO(), width=200, force_terminal=True)
+    observer = ConsoleObserver(console)
+    tick = observer.detecting(2)
+    tick()
+    observer.close()
+    assert isinstance(console.file, io.StringIO)
+    assert "looking for the board 1/2" not in console.file.getvalue()
 
 
 def test_the_time_left_goes_by_the_recent_pace(monkeypatch: pytest.MonkeyPatch) -> None:

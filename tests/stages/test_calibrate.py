@@ -216,7 +216,14 @@ def test_a_missing_folder_is_a_wrong_call(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert run_cli("calibrate") == 2
-    assert "boards" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "boards does not exist" in told
+    assert "boards/1/tele.jpg" in told
+    assert "telewide calibrate captures --from-scenes" in told, "a way that needs no board"
+    assert run_cli("calibrate", "--from-scenes") == 2
+    told = capsys.readouterr().err
+    assert "captures does not exist" in told
+    assert "telewide import DCIM captures" in told
     assert run_cli("calibrate", "nowhere") == 2
     assert run_cli("show") == 2
     assert list(tmp_path.iterdir()) == []

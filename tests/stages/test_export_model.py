@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.cli import main
 from telewide.errors import QualityError
 from telewide.matching import inference
@@ -86,6 +87,28 @@ def test_what_no_model_can_be_is_refused(
     given = words if words[0] == "nowhere" else (str(weights_of("lite", tmp_path)), *words)
     assert code_of("export-model", *given) == code
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "train"),
+    [
+        ((), "telewide train captures;"),
+        (("runs/b",), "--out runs/b;"),
+        (("w.safetensors",), "telewide train captures;"),
+    ],
+)
+def test_where_nothing_is_trained_the_call_that_trains_and_the_network_in_the_box_are_named(
+    words: tuple[str, ...],
+    train: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert code_of("export-model", *words) == 2
+    told = capsys.readouterr().err
+    assert train in told
+    assert str(BOX_WEIGHTS) in told
 
 
 @needs_onnx

@@ -30,7 +30,7 @@ from telewide.simulate.captures import write_captures
 from telewide.stages.labels import teacher_of, write_labels
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
-from telewide.stages.rig import locate_rig, refuse_without_rig
+from telewide.stages.rig import locate_rig, lying_rig, refuse_without_rig, where_rig_lies
 from telewide.stages.run_folder import RunFolder
 from telewide.training.options import TrainOptions
 from telewide.training.samples import labels_path
@@ -76,9 +76,12 @@ def test_a_rig_that_is_not_good_enough_is_said_quietly_too(
         write_image(captures / "one" / f"{view}.png", photo)
     quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="insufficient")
     write_stored_rig(captures / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
-    words = ("depth", str(captures), "--run", str(tmp_path / "run"), "--method", "sgm", "--quiet", "--json")
+    words = ("depth", str(captures), "--run", str(tmp_path / "run"), "--method", "sgm", "--json")
     with pytest.raises(SystemExit):
         main(words)
+    assert f"rig: {captures / 'rig.yaml'}" in capsys.readouterr().err.splitlines()
+    with pytest.raises(SystemExit):
+        main((*words, "--quiet"))
     told = capsys.readouterr()
     assert f"the rig is marked insufficient: telewide show {captures / 'rig.yaml'} says" in told.err
     assert any("marked insufficient" in warning for warning in json.loads(told.out)["warnings"])
@@ -263,6 +266,27 @@ def test_a_rig_is_found_by_any_spelling_of_its_name(captures: Path, tmp_path: Pa
     shutil.copy(repo / "calib" / "rigs" / "example_phone.yaml", tmp_path / name)
     found = dataclasses.replace(find_captures(captures), root=tmp_path, facts=CaptureFacts())
     assert locate_rig(None, found) is not None
+
+
+@pytest.mark.parametrize("above", [0, 1, 2])
+def test_a_rig_from_outside_the_captures_folder_is_named_by_its_path(
+    above: int, captures: Path, tmp_path: Path, repo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "deep" / "captures"
+    shutil.copytree(captures, root)
+    rig = (root, *root.parents)[above] / "rig.yaml"
+    shutil.copy(repo / "calib" / "rigs" / "example_phone.yaml", rig)
+    monkeypatch.chdir(tmp_path)
+    found = find_captures(Path("deep/captures"))
+    lying = lying_rig(found)
+    assert lying is not None
+    told = where_rig_lies(lying, found, is_stated=False)
+    if above:
+        assert told.startswith(f"{rig}, found outside deep/captures; ")
+        assert "--rig" in told
+    else:
+        assert told == "deep/captures/rig.yaml"
+    assert where_rig_lies(rig, found, is_stated=True) == str(rig)
 
 
 def test_captures_stated_as_not_rectified_get_no_depth_without_a_rig(captures: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import resource
 import shutil
@@ -27,6 +28,7 @@ from telewide.capture.pair import find_captures
 from telewide.capture.pfm import read_pfm
 from telewide.cli import main
 from telewide.errors import UsageError
+from telewide.matching.networks import build_network
 from telewide.pipeline import depth_captures, train_captures
 from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
@@ -34,12 +36,15 @@ from telewide.stages.depth import DepthOptions
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.train import TrainOutcome
+from telewide.stages.training_log import LoggedReporter
 from telewide.stages.training_record import read_training
 from telewide.training import loop
 from telewide.training.checkpoint import TrainingState
 from telewide.training.loop import DECISIVE, Training
 from telewide.training.samples import CropArea
+from telewide.training.stages import plan_stages
 
+NAN = math.nan
 RECIPE: Mapping[str, object] = {
     "network": "lite",
     "window_px": [0, 32],
@@ -237,6 +242,49 @@ def test_a_finished_training_says_so(
         assert left.value.code == 0
         said = capsys.readouterr().err
         assert ("finished already" in said.replace("\n", " ")) == (times == 2)
+        told = [line for line in said.splitlines() if " is done: " in line or line.startswith("result: ")]
+        assert len(told) == (0 if times == 2 else 4), "one line a stage, and one at the end"
+
+
+@pytest.mark.parametrize(
+    ("judged_px", "result_px", "told"),
+    [
+        ({0: 0.4, 20: 0.45}, 0.4, "the weights it began with are kept, 0.400 px off at the held-out matches; no step"),
+        (
+            {0: 0.4, 20: 0.35, 40: 0.37},
+            0.35,
+            "the weights of step 20 are kept, 0.350 px off at the held-out matches, 0.400 px before",
+        ),
+        ({20: 0.35}, 0.35, "the weights of step 20 are kept, 0.350 px off at the held-out matches"),
+        ({20: NAN}, NAN, "its last weights are kept; too few matches to judge by"),
+    ],
+)
+def test_a_stage_says_at_its_end_what_is_kept_of_it(
+    judged_px: dict[int, float], result_px: float, told: str, tmp_path: Path
+) -> None:
+    heard, stage = Observer(), plan_stages(load_recipe("quick").train)[0]
+    reporter = LoggedReporter(heard, RunFolder(tmp_path), rows=lambda network: [], is_writer=True)
+    for step, off_px in judged_px.items():
+        reporter.judged(stage, step=step, judgement={"clipped_px": off_px})
+    reporter.is_writer = False  # which draws no sheet
+    reporter.stage_finished(stage, network=build_network("lite"), judgement={"clipped_px": result_px})
+    assert heard.messages[-1].startswith(f"{stage.name} is done: {told}")
+
+
+@pytest.mark.parametrize(
+    ("best_step", "off_px", "told"),
+    [
+        (
+            0,
+            0.4,
+            "result: the weights that a began with, 0.400 px off at the held-out matches; no step was judged better",
+        ),
+        (20, 0.35, "result: a, step 20, 0.350 px off at the held-out matches"),
+        (20, NAN, "result: a, step 20, too few matches to judge by"),
+    ],
+)
+def test_a_training_says_at_its_end_what_it_results_in(best_step: int, off_px: float, told: str) -> None:
+    assert TrainOutcome(Path("w"), True, {"a": off_px, "b": 1.0}, "a", best_step=best_step).told == told
 
 
 @pytest.mark.slow
