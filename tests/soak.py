@@ -38,6 +38,7 @@ from strangers.table import Given, rows
 from strangers.world import write_run, write_world
 
 import telewide
+import telewide.stages.train
 from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm
 from telewide.cli import main as call_telewide
@@ -52,8 +53,9 @@ SIDES = {12: (4000, 3000), 50: (8192, 6144), 200: (16384, 12288)}
 LARGE = [int(megapixels) for megapixels in os.environ.get("TELEWIDE_MEGAPIXELS", "12,50,200").split(",")]
 TINY = (
     "--quiet --recipe quick --set network=lite --set train.start=scratch --set train.crop_hw=[64,64] "
-    "--set train.rehearsal.steps=10 --set train.rehearsal.least_steps=1 --set train.photometric.steps=10 "
-    "--set train.photometric.least_steps=1 --set train.stages=0 --set train.judge_every_steps=5"
+    "--set train.rehearsal.steps=4 --set train.rehearsal.least_steps=1 --set train.photometric.steps=2 "
+    "--set train.photometric.least_steps=1 --set train.photometric.captured=1 --set train.stages=0 "
+    "--set train.judge_every_steps=4"
 )
 COMMANDS = {
     "depth": "depth captures --method sgm --bokeh --quiet",
@@ -161,7 +163,7 @@ def refuse_pieces(folder: Path) -> None:
 
 def make_world() -> None:
     """Captures, and boards of a simulated phone, in the current folder."""
-    write_captures(Path("captures"), count=2, seed=1, hw=(192, 256), factor=2)
+    write_captures(Path("captures"), count=2, seed=1, hw=(96, 144), factor=2)
     write_captures(Path("small"), count=2, seed=1, hw=(96, 128), factor=2)
     write_captures(Path("sharp"), count=1, seed=1, hw=(768, 1024), factor=2)
     write_phone(Path("phone"), captures=1, boards=9, seed=1, width=640)
@@ -213,6 +215,8 @@ def limited() -> None:
 
 def kill(base: Path) -> None:
     generator = random.Random(SEED)
+    # A process that prepares crops begins with all the imports, which take longer than such a training.
+    telewide.stages.train.workers_for = lambda device: 0
     for name, command in COMMANDS.items():
         folder = copied(base, f"kill-{name}")
         whole = done(command, folder)
