@@ -22,7 +22,7 @@ from torch.nn import functional
 from telewide.matching.conv3d import Conv3d
 from telewide.matching.overwriting import add_enlarged, is_overwriting_allowed, planar_conv1x1
 from telewide.matching.sampling import upsample_convex, warp_to_ref
-from telewide.matching.volume import correlate_at, correlate_groups, expect_disparity_at_mode
+from telewide.matching.volume import correlate_at, correlate_groups, expect_disparity_at_mode, peak_share
 from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
 
 GUIDE, QUARTER, EIGHTH, SIXTEENTH, THIRTYSECOND = 32, 48, 80, 112, 144
@@ -38,9 +38,9 @@ LEAST_PLANES = 12
 """Fewer are padded to this: the coarsest level has a quarter of them, and no less than three (oneDNN's bf16 gradient of
 a 3-D convolution over two planes reads memory that nobody has written)."""
 DISPARITY_SCALE_PX = 8.0
-UNSURE, SURER_BY, APART_PX = 0.5, 0.15, 3.0
-"""A coarser match is the new guess where the own confidence is below the first, the coarser one's higher by the second,
-and both lie apart by the third. Chosen on eight scenes of Middlebury 2006."""
+UNSURE, NO_LESS_BY, APART_PX = 0.85, 0.2, 3.0
+"""A coarser match is the guess where the likeliest planes hold less of the probability than the first, its confidence
+is no less by the second, and both lie apart by the third. Chosen on eight scenes of Middlebury 2006."""
 
 
 class Coarser(NamedTuple):
@@ -209,38 +209,23 @@ class GuidedMatching(nn.Module):
     ) -> tuple[list[Tensor], Tensor, Tensor]:
         """Disparities (B, H, W), px, coarse to fine in training, else the last; the volume (B, D, H/4, W/4); heads.
 
-        The heads (B, 2, H, W) are logits: that the error is below 1 px, and that src does not see the pixel. Where a
-        coarser match is surer, the updates begin again from it.
+        The heads (B, 2, H, W) are logits: that the error is below 1 px, and that src does not see the pixel. Where the
+        volume is unsure, the updates begin from a coarser match.
         """
         whole = widened_window(window, planes=HALVED_PLANES)
         correlation = correlate_groups(ref[0], src[0], window=whole, groups=GROUPS)
         asked = planes_of(window, within=whole)
         mean = correlation.float().mean(dim=1)[:, asked]
         logits = self._regularised(correlation, ref[2])[:, asked] + self.correlation_scale * mean
-        likeliest_px = expect_disparity_at_mode(logits, window=window)
-        disparities, heads = self._read(likeliest_px, logits, mean, ref=ref, src=src, window=window)
+        coarse_px = expect_disparity_at_mode(logits, window=window)
         if coarser is not None:
-            guess_px = _second_guess_px(likeliest_px, heads, coarser)
-            disparities, heads = self._read(guess_px, logits, mean, ref=ref, src=src, window=window)
-        return disparities, logits, heads
-
-    def _read(
-        self,
-        coarse_px: Tensor,
-        logits: Tensor,
-        mean: Tensor,
-        *,
-        ref: tuple[Tensor, ...],
-        src: tuple[Tensor, ...],
-        window: Window,
-    ) -> tuple[list[Tensor], Tensor]:
-        """Disparities and heads, from a guess (B, H/4, W/4), px, on."""
+            coarse_px = _better_guess_px(coarse_px, logits, coarser)
         guesses, hidden = self._updated(coarse_px, logits, mean, trunk=ref[2], window=window)
         half_px = upsample_convex(guesses[-1], self._up_weights(hidden), factor=2)
         refined_px, fine, heads = self._at_half(half_px, hidden, ref[1], src[1])
         full_px = upsample_convex(refined_px, planar_conv1x1(self.half_weights, fine), factor=2)
         coarse = [*(_nearest(d, 4) for d in (coarse_px, *guesses)), _nearest(half_px, 2)] if self.training else []
-        return [*coarse, full_px], _doubled(heads)
+        return [*coarse, full_px], logits, _doubled(heads)
 
     def _regularised(self, correlation: Tensor, trunk: Tensor) -> Tensor:
         planes = correlation.shape[2]
@@ -299,11 +284,11 @@ class GuidedMatching(nn.Module):
         return entered
 
 
-def _second_guess_px(likeliest_px_BHW: Tensor, heads_BCHW: Tensor, coarser: Coarser) -> Tensor:
-    confidence = functional.avg_pool2d(heads_BCHW[:, :1].sigmoid(), VOLUME_STEP_PX)[:, 0]
-    is_surer = (confidence < UNSURE) & (coarser.confidence > confidence + SURER_BY)
+def _better_guess_px(likeliest_px_BHW: Tensor, logits_BDHW: Tensor, coarser: Coarser) -> Tensor:
+    sureness = peak_share(logits_BDHW)
+    is_unsure = (sureness < UNSURE) & (coarser.confidence > sureness - NO_LESS_BY)
     is_apart = (coarser.disparity_px - likeliest_px_BHW).abs() > APART_PX
-    return torch.where(is_surer & is_apart, coarser.disparity_px, likeliest_px_BHW)
+    return torch.where(is_unsure & is_apart, coarser.disparity_px, likeliest_px_BHW)
 
 
 def _around(volume_BDHW: Tensor, position_BHW: Tensor) -> Tensor:

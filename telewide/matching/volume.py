@@ -147,11 +147,13 @@ def expect_disparity_at_mode(logits_BDHW: Tensor, *, window: Window, reach: int 
 
 def peak_share(logits_BDHW: Tensor, *, reach: int = 1) -> Tensor:
     """Share of the probability within ``reach`` planes of the likeliest one: (B, H, W) in [0, 1]."""
-    probability = logits_BDHW.float().softmax(dim=1)
-    pooled = functional.avg_pool1d(
-        probability.flatten(2).transpose(1, 2), 2 * reach + 1, stride=1, padding=reach, count_include_pad=True
-    )
-    return (pooled.amax(dim=2) * (2 * reach + 1)).clamp(max=1).view(logits_BDHW.shape[0], *logits_BDHW.shape[2:])
+    planes = logits_BDHW.shape[1]
+    probability = functional.pad(logits_BDHW.float().softmax(dim=1), (0, 0, 0, 0, reach, reach))
+    # Slices, and not a pooling along the planes: that would lay the volume out anew.
+    near = probability[:, :planes]
+    for shift in range(1, 2 * reach + 1):
+        near = near + probability[:, shift : shift + planes]
+    return near.amax(dim=1).clamp(max=1)
 
 
 def shear_to_src(logits_BDHW: Tensor, *, window: Window) -> Tensor:

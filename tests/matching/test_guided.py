@@ -74,49 +74,48 @@ def test_coarse_disparities_are_for_training_alone() -> None:
     assert len(taught.disparities_px) == 5
 
 
-def unsure_network(sure_logit: float) -> StereoNetwork:
-    """An untrained network, whose updates change nothing, with a confidence of its own."""
+def undecided_network() -> StereoNetwork:
+    """An untrained network that finds all planes alike, and whose updates change nothing."""
     network = build_network("guided").eval()
     with torch.no_grad():
-        heads = network.matching.half_heads
-        heads.weight.zero_()
-        heads.bias.copy_(torch.tensor([sure_logit, 0.0]))
+        network.matching.correlation_scale.zero_()
         for residual in (network.matching.update.residual[-1], network.matching.half_residual):
             residual.bias.zero_()
     return network
 
 
 @pytest.mark.parametrize(
-    ("own_logit", "coarser_px", "coarser_confidence", "is_taken"),
-    [(-4.0, 60.0, 0.9, True), (-4.0, 60.0, 0.1, False), (4.0, 60.0, 1.0, False)],
+    ("unsure_below", "coarser_confidence", "is_taken"), [(0.4, 0.9, True), (0.4, 0.1, False), (0.3, 0.9, False)]
 )
-def test_a_surer_coarser_match_is_the_guess(
-    own_logit: float, coarser_px: float, coarser_confidence: float, is_taken: bool
+def test_a_coarser_match_is_the_guess_where_the_volume_is_unsure(
+    unsure_below: float, coarser_confidence: float, is_taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a constant guess that no update changes, every upsampling is that constant."""
-    network = unsure_network(own_logit)
-    coarser = Coarser(*(torch.full((1, 16, 24), value) for value in (coarser_px, coarser_confidence)))
+    """Three of eight planes hold 3/8. Of a constant guess that no update changes, every upsampling is that constant."""
+    monkeypatch.setattr(guided, "UNSURE", unsure_below)
+    network = undecided_network()
+    coarser = Coarser(*(torch.full((1, 16, 24), value) for value in (60.0, coarser_confidence)))
     with torch.inference_mode(), full_precision():
-        alone, guided = (network(*views(64, 96), (0, 32), coarser=aid) for aid in (None, coarser))
-    expected_px = torch.full_like(alone.disparity_px, coarser_px) if is_taken else alone.disparity_px
-    torch.testing.assert_close(guided.disparity_px, expected_px)
-    torch.testing.assert_close(guided.logits_BDHW, alone.logits_BDHW)
+        alone, found = (network(*views(64, 96), (0, 32), coarser=aid) for aid in (None, coarser))
+    expected_px = torch.full_like(alone.disparity_px, 60.0) if is_taken else alone.disparity_px
+    torch.testing.assert_close(found.disparity_px, expected_px)
+    torch.testing.assert_close(found.logits_BDHW, alone.logits_BDHW)
 
 
 @pytest.mark.parametrize(("apart_px", "is_taken"), [(2.9, False), (3.1, True)])
 def test_a_guess_near_the_own_one_changes_nothing(apart_px: float, is_taken: bool) -> None:
-    """The window has one plane, at 0 px, so that is the own guess everywhere."""
-    network = unsure_network(-4.0)
-    coarser = Coarser(torch.full((1, 16, 24), apart_px), torch.ones(1, 16, 24))
+    """Where all planes are alike the own guess is the same everywhere."""
+    network = undecided_network()
     with torch.inference_mode(), full_precision():
-        found = network(*views(64, 96), (0, 4), coarser=coarser)
-    torch.testing.assert_close(found.disparity_px, torch.full((1, 64, 96), apart_px if is_taken else 0.0))
+        own_px = network(*views(64, 96), (0, 32)).disparity_px
+        coarser = Coarser(own_px[:, ::4, ::4] + apart_px, torch.ones(1, 16, 24))
+        found = network(*views(64, 96), (0, 32), coarser=coarser)
+    torch.testing.assert_close(found.disparity_px, own_px + apart_px if is_taken else own_px)
 
 
 @pytest.mark.parametrize("scales", [2, 3])
 def test_smaller_sizes_say_what_half_the_views_do(scales: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of the size is the same network on views averaged by twos, its disparities doubled, and so on."""
-    for name, limit in (("UNSURE", 1.0), ("SURER_BY", -1.0), ("APART_PX", -1.0)):  # all of it is taken up
+    for name, limit in (("UNSURE", 2.0), ("NO_LESS_BY", 2.0), ("APART_PX", -1.0)):  # all of it is taken up
         monkeypatch.setattr(guided, name, limit)
     network = network_with_all_branches("guided")
     ref, src = views(128, 192)
