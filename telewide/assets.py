@@ -21,7 +21,7 @@ _PACKAGE = Path(__file__).resolve().parent
 BOX_WEIGHTS = _PACKAGE / "weights" / "box.safetensors"
 """The network that comes with telewide, made by the recipe `box`."""
 Start = Literal["box", "scratch"]
-"""What a training begins with: the network that comes with telewide, or random weights."""
+"""Beginning of a training: the network that comes with telewide, or random weights."""
 
 
 def find_asset(kind: AssetKind, name: str) -> Path:

@@ -52,7 +52,7 @@ class Recipe(Options):
 
 
 OF_THE_PAIRS = ("working_width_px", "window_px", "correction")
-"""What a network was taught to expect of the pairs it is shown."""
+"""Options that say how the pairs look which a network was taught on."""
 
 
 def load_recipe(name: str, *, settings: Sequence[str] = (), seed: int | None = None) -> Recipe:

@@ -29,7 +29,7 @@ class LearnedSystem(Options):
     settings: tuple[str, ...] = ()
     """Differences from the recipe, ``key=value``."""
     shows: Literal["disparity", "space"] = "disparity"
-    """What it is judged by: what its network answers, or its space of features."""
+    """Subject of the judgement: the answer of its network, or its space of features."""
     corrects: bool = False
     """Whether rows and colours of every pair are corrected first, as `telewide depth` does."""
     first_share: Annotated[float, Field(gt=0, lt=1)] = 0.5

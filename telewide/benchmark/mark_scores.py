@@ -19,7 +19,7 @@ from telewide.geometry.arrays import BoolArray, FloatArray, FloatMap, IntArray
 
 EDGE_TOLERANCE_PX = 2.0
 FARTHEST_EDGE_PX = 7.5
-"""How far to both sides of a marked edge the map's edge is looked for."""
+"""Reach to both sides of a marked edge within which the map's edge is looked for."""
 LEAST_STEP_PX = 1.0
 """A smaller difference between both sides is no edge; the marked ones have 2 px and more."""
 _THIN_PITCH_PX, _EDGE_PITCH_PX, _ACROSS_PITCH_PX = 1.0, 2.0, 0.5

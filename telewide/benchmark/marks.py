@@ -43,7 +43,7 @@ class ThinThing(Options):
     width_px: Annotated[float, Field(gt=0, le=MAX_SIDE_PX)]
     """Across it."""
     ground_px: Annotated[tuple[Offset, ...], Field(min_length=1)]
-    """How far beside the line its ground is seen: to the right of a walk along the line where positive, else left."""
+    """Distance from the line to its ground: to the right of a walk along the line where positive, else left."""
     step_px: tuple[Step, Step]
     """Disparity of the thing less that of its ground, at the line's first and last point. Positive: before it."""
 

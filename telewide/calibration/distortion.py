@@ -30,7 +30,7 @@ NARROW_LADDER = ("none", "k1", "k1k2", "k1k2p1p2")
 
 
 BELIEVED = LADDER["k1k2p1p2"]
-"""What every lens has, told by the photos or not: where it is held at 0, the other numbers are surer than they seem."""
+"""Distortion that every lens has, told by photos or not: were it held at 0, the rest would seem surer than it is."""
 
 
 def project_with_derivatives(points_m: FloatArray, lens: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -44,7 +44,7 @@ class CaptureFacts(Options):
     """The side of tele on which wide stands in the rectified photos as they are given; None for right, unless a stated
     `doffs_px` contradicts."""
     rotated_deg: Literal[0, 90, 180, 270] = 0
-    """How far the photos were turned counter-clockwise to make the baseline horizontal."""
+    """Counter-clockwise turn of the photos to make the baseline horizontal."""
     baseline_m: float | None = None
     """Distance of the two lenses, m."""
     f_px: float | None = None

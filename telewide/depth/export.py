@@ -74,7 +74,7 @@ WITH_EXIF = frozenset({"grey", "gdepth", "dynamic"})
 """Formats whose JPEG of the photo says when and with what it was taken."""
 DEFAULT_FORMATS = ("pfm", "png", "npz")
 ALWAYS = "npz"
-"""What telewide reads again, and so always writes."""
+"""Files that telewide reads again, and so always writes."""
 
 
 def file_names(formats: Iterable[str]) -> tuple[str, ...]:

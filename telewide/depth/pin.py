@@ -16,9 +16,9 @@ from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 
 DISTANCE_STD_SHARE = 0.01
-"""How well a distance is measured, unless said otherwise."""
+"""Relative standard deviation of a measured distance, unless said otherwise."""
 FOCUS_STD_SHARE = 0.1
-"""How well EXIF knows where a lens was focused: autofocus stops where the picture is sharp enough."""
+"""Likewise of the focus that EXIF states: autofocus stops where the picture is sharp enough."""
 _WINDOW_SHARE = 0.004
 _LEAST_SPREAD_PX = 0.1
 

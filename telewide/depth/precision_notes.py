@@ -13,7 +13,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
 
 ALL_NEGATIVE = "of its disparities are negative"
-"""What :func:`without_depth_behind` says of disparities without metres."""
+"""Note of :func:`without_depth_behind` on disparities without metres."""
 BEHIND_SHARE = 0.9
 """Where so much of a photo has a negative disparity, the lenses rather stand the other way round."""
 HARDLY_KNOWN_SHARE = 0.5

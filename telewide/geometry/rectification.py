@@ -30,7 +30,7 @@ from telewide.ranges import MAX_CANVAS
 MARGIN_SHARE = 1 / 16
 """Margin for the disparities, of the width of the tele photo: 12 mm of baseline, 27 degrees of view, 0.4 m."""
 MAX_TILT_DEG = 45.0
-"""How far the baseline may point out of the picture plane."""
+"""Largest angle of the baseline to the picture plane."""
 _MAX_VIEW_DEG = 75.0  # between the optical axis of a rectified view and the border of the tele photo
 _BORDER_POINTS = 256  # on each side of the photo: the border is curved by distortion
 _SAME_SHAPE = 0.01

@@ -18,7 +18,7 @@ from telewide.pages.page import html_part
 from telewide.pages.rig_figures import depth_error_m
 
 MATCHING_STD_PX = 0.5
-"""What matching is taken to be off by, px."""
+"""Error that matching is taken to have, px."""
 
 _NEAREST_M, _FARTHEST_M = 0.25, 10.0
 _ROWS_M = (0.5, 1.0, 2.0, 4.0)

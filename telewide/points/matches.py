@@ -28,7 +28,7 @@ from telewide.points.robust import std_about_zero
 from telewide.srgb import grey
 
 VERTICAL_TOLERANCE_PX = (0.5, 1.5)
-"""How far a match may lie from the linear vertical law: four sigma of the matches, at least and at most this."""
+"""Largest distance of a match from the linear vertical law: four sigma of the matches, at least and at most this."""
 _MAX_FEATURES = 4000
 _RATIO = 0.85
 _MAX_ANGLE_DEG = 20.0

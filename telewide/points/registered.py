@@ -22,7 +22,7 @@ from telewide.points.matches import Matches
 MAX_SPREAD_PX = 2.0
 """Triangles whose corners' shifts differ by more may hold a jump in depth."""
 MAX_MISFIT_PX = 0.5
-"""How far the triangles below a patch may lie from its affine map."""
+"""Largest distance of the triangles below a patch from its affine map."""
 _MAX_EDGE_SHARE = 0.12
 _PROBES = np.stack(np.meshgrid((-1.0, 0.0, 1.0), (-1.0, 0.0, 1.0)), axis=-1).reshape(-1, 2)
 

@@ -25,7 +25,7 @@ from telewide.simulate.scene import random_scene
 from telewide.simulate.still_life import still_life
 
 SCENES = ("still-life", "random")
-"""What can be photographed: arranged pictures, or strewn shapes as the networks are taught on."""
+"""Kinds of scenes: arranged pictures, or strewn shapes as the networks are taught on."""
 
 _SUPERSAMPLING = 2
 _LARGEST_STEP_PX = 1.0

@@ -27,7 +27,7 @@ Triple = tuple[float, float, float]
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the first two pixels of the first row, then of the second."""
 SHADING_UNDONE = 0.8
-"""How much of the lens's darkening a phone takes out of its own photos, as an exponent."""
+"""Share of the lens's darkening that a phone takes out of its own photos, as an exponent."""
 # Green along edges, by OpenCV: it keeps fine lines that bilinear demosaicing colours.
 _DEMOSAICING = {pattern: int(getattr(cv2, f"COLOR_Bayer{pattern}2RGB_EA")) for pattern in PATTERNS}
 _PEDESTAL = 0.1  # noise below black survives demosaicing, which knows no negative numbers

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from telewide.matching.onnx_check import OnnxComparison
 
 DEFAULT_RUN = Path("run")
-MODEL_NAME = "telewide.onnx"
 LEAST_SIDE_PX, MOST_SIDE_PX, MOST_PIXELS = 64, 16384, 1 << 24
 MOST_SPAN_PX = 1024
 """Of the disparities it searches; each four of them are a part of the model."""

@@ -59,7 +59,7 @@ class StageOptions(Options):
     labels_weight: Annotated[float, Field(ge=0)] = 0.0
     """Weight of confident semi-global labels beside another loss of the real crops."""
     judge_every_steps: Annotated[int, Field(ge=1)] | None = None
-    """How often the held-out matches are asked; null takes what holds for all stages."""
+    """Steps between two questions to the held-out matches; null takes what holds for all stages."""
 
     @property
     def counts_from(self) -> int:
@@ -89,13 +89,13 @@ class TrainOptions(Options):
     feature_space: SpaceName = "own"
     """Where eq. 5 compares: in the features of the stage before (the paper), of DeFeat-Net, or of FeatDepth."""
     space: StageOptions = StageOptions(steps=0)
-    """How a feature space other than the network's own is taught, on real crops; before the stages that use it."""
+    """Stage that teaches a feature space other than the network's own, on real crops; before the stages that use it."""
     feature: StageOptions = StageOptions(steps=0, captured_loss="feature")
     """Stages 1 to K of the paper, eq. 5 with the extractor of the stage before."""
     average_decay: Annotated[float, Field(ge=0, lt=1)] = 0.995
     """Decay of the running average of the weights that is kept as the result; 0 keeps the last weights."""
     judge_every_steps: Annotated[int, Field(ge=1)] = 250
-    """How often the held-out matches are asked."""
+    """Steps between two questions to the held-out matches."""
     keeps: Keeps = "best"
     """Result of a stage, from which the next one goes on: the weights judged best, or the last ones whatever the judge
     says. Then no plateau ends a stage and no stage ends the boosting, and those judged best lie beside the last."""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
 _PATIENCE = timedelta(days=7)
-"""How long one process waits for another; when one dies, ``torchrun`` ends them all."""
+"""Longest wait of one process for another; when one dies, ``torchrun`` ends them all."""
 Value = TypeVar("Value")
 
 
