@@ -19,7 +19,7 @@ from telewide.srgb import linear_from_srgb, srgb_from_linear
 from telewide.text import json_text
 
 FOCUSES = {"far": 10, "mid": 50, "near": 90}
-"""Percentiles of the disparities."""
+"""Percentiles of the disparities: three distances."""
 APERTURES = {"small": 0.01, "medium": 0.02, "large": 0.04}
 """Radius of the disk at the disparity farthest from the focus in the middle, as a share of the shorter side."""
 LENS_POINTS = 96

@@ -2,7 +2,7 @@
 
 Written is what `telewide.simulate.phone` writes, from a ray tracer in place of painted layers: perspective, shadows and
 occlusion are exact for both lenses, and so are ``captures/<name>/truth.pfm``, ``truth/rig.json`` and, where it is asked
-for, the picture of a large aperture, ``truth/<name>/bokeh.png``. Letters: H W photo.
+for, what apertures see, ``truth/<name>/bokeh-<focus>-<aperture>.png``. Letters: H W photo.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from telewide.errors import UsageError
 from telewide.files import write_text
 from telewide.geometry.arrays import FloatArray, FloatImage, FloatMap
 from telewide.geometry.rig import Camera, StereoRig
+from telewide.simulate.apertures import FOCUSES
 from telewide.simulate.dng import ExifFacts, write_dng, write_jpeg
 from telewide.simulate.phone import (
     BOARD_CORNERS,
@@ -42,10 +43,10 @@ from telewide.text import json_text
 LEAST_BASELINE_M, LARGEST_BASELINE_M = 0.010, 0.015
 DEFAULT_SAMPLES = 6
 """Rays per pixel and light."""
-BOKEH_F_NUMBER = 2.0
-"""Of the 50 mm lens whose opening the pictures of a large aperture have."""
-_BOKEH_SAMPLES_SHARE = 10
-_SUBJECT_SHARE = 0.1
+BOKEH_F_NUMBERS = {"small": 4.0, "medium": 2.8, "large": 2.0}
+"""Of the 50 mm lens whose openings the pictures through an aperture have."""
+_BOKEH_SAMPLES = 20
+"""Times as many rays as the photo's, divided by the f-number: a wide opening sees more that differs."""
 _POSE_TRIES = 30
 _LEAST_WIDTH_PX = 96
 _FOCAL_MM = {"tele": (9.0, 80.0), "wide": (5.6, 27.0)}
@@ -66,7 +67,7 @@ class RoomShots:
         samples: rays per pixel and light.
         is_vertical: whether the lenses stand above one another; None lets the seed say.
         is_raw: DNG instead of JPEG.
-        has_bokeh: whether to render the picture of a large aperture.
+        has_bokeh: whether to render what three apertures focused on three distances see, a hundred times a photo's work.
     """
 
     width: int = 720
@@ -214,22 +215,8 @@ def _photograph_room(phone: _Phone, shot: _Shot, *, truth: Path) -> None:
     hidden = tracer.is_hidden(shot.rig, room.world_from_tele, depth_m=depth_m)
     write_image(truth / "hidden" / f"{shot.folder.name}.png", hidden.astype(np.float32))
     if phone.how.has_bokeh:
-        _write_bokeh(
-            tracer,
-            shot,
-            room,
-            truth=truth / shot.folder.name,
-            focus_m=_subject_m(depth_m),
-            exposure=exposure,
-            how=phone.how,
-        )
-
-
-def _subject_m(depth_m: FloatMap) -> float:
-    """Distance of what stands in front in the middle of the photo."""
-    height, width = depth_m.shape
-    middle = depth_m[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
-    return float(np.quantile(middle, _SUBJECT_SHARE))
+        world = _Seen(tracer, room.world_from_tele, samples=phone.how.samples, exposure=exposure)
+        _write_bokeh(world, shot, truth=truth / shot.folder.name, depth_m=depth_m)
 
 
 def _lights_of(tracer: RoomTracer, shot: _Shot, world_from_tele: FloatArray, *, samples: int) -> dict[str, FloatImage]:
@@ -265,27 +252,38 @@ def _write_photos(phone: _Phone, shot: _Shot, lights: dict[str, FloatImage], *, 
     return gain * phone.sensors["tele"].exposure
 
 
-def _write_bokeh(
-    tracer: RoomTracer, shot: _Shot, room: Room, *, truth: Path, focus_m: float, exposure: float, how: RoomShots
-) -> None:
-    """The tele photo as a 50 mm lens of a large aperture at its place would blur it."""
-    aperture = ApertureSetting(radius_m=0.050 / BOKEH_F_NUMBER / 2, focus_distance_m=focus_m)
-    light = tracer.photo(
-        shot.rig.tele,
-        room.world_from_tele,
-        samples=how.samples * _BOKEH_SAMPLES_SHARE,
-        seed=int(shot.rng.integers(2**31)),
-        aperture=aperture,
-    )
-    srgb = srgb_from_linear(np.clip(light * np.float32(exposure), 0, 1))
-    write_image(truth / "bokeh.png", srgb)
-    facts = {
-        "focus_distance_m": focus_m,
-        "aperture_radius_m": aperture.radius_m,
-        "f_number_of_50mm": BOKEH_F_NUMBER,
-        "focus_disparity_px": shot.rig.tele.K[0, 0] * shot.rig.baseline_m / focus_m,
-    }
-    write_text(truth / "bokeh.json", json_text(facts, indent=2) + "\n")
+@dataclass(frozen=True)
+class _Seen:
+    """A room before the tele lens: rays per pixel of its photo, and the factor that its light is exposed by."""
+
+    tracer: RoomTracer
+    world_from_tele: FloatArray
+    samples: int
+    exposure: float
+
+
+def _write_bokeh(seen: _Seen, shot: _Shot, *, truth: Path, depth_m: FloatMap) -> None:
+    """The tele photo as a 50 mm lens of three apertures at its place would blur it, focused on three distances."""
+    for focus, percentile in FOCUSES.items():
+        focus_m = float(np.percentile(depth_m, 100 - percentile))
+        for name, f_number in BOKEH_F_NUMBERS.items():
+            aperture = ApertureSetting(radius_m=0.050 / f_number / 2, focus_distance_m=focus_m)
+            light = seen.tracer.photo(
+                shot.rig.tele,
+                seen.world_from_tele,
+                samples=round(seen.samples * _BOKEH_SAMPLES / f_number),
+                seed=int(shot.rng.integers(2**31)),
+                aperture=aperture,
+            )
+            path = truth / f"bokeh-{focus}-{name}.png"
+            write_image(path, srgb_from_linear(np.clip(light * np.float32(seen.exposure), 0, 1)))
+            facts = {
+                "focus_distance_m": focus_m,
+                "aperture_radius_m": aperture.radius_m,
+                "f_number_of_50mm": f_number,
+                "focus_disparity_px": shot.rig.tele.K[0, 0] * shot.rig.baseline_m / focus_m,
+            }
+            write_text(path.with_suffix(".json"), json_text(facts, indent=2) + "\n")
 
 
 def _rig_truth(rig: StereoRig, moved: dict[str, StereoRig]) -> dict[str, object]:
