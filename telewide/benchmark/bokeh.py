@@ -7,6 +7,7 @@ others by the same depth. So what a matcher loses and what rendering loses stand
 from __future__ import annotations
 
 import time
+import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +84,10 @@ def benchmark_bokeh(
 
 
 def bokeh_table(report: BenchmarkReport) -> str:
-    """Set the means of a report in Markdown, a line for each matcher: specks, and PSNR where there are pictures."""
+    """Set the means of a report in Markdown, a line for each matcher: specks, and PSNR where there are pictures.
+
+    Where they are of several distances and apertures, a line for each follows; last, what each blur costs.
+    """
     specks, pictures = ([row for row in report.rows if (key in row)] for key in ("specks", "picture"))
     headings = ("depth", "specks % (photo)", "worst excess %", "in")
     tables = [markdown_table(headings, [_speck_line(name, rows) for name, rows in _by_matcher(specks).items()])]
@@ -92,6 +96,10 @@ def bokeh_table(report: BenchmarkReport) -> str:
         of_blurs = (*(f"{name}, at edges dB" for name in BLURS), "lost by depth %")
         lines = [_picture_line(name, rows, exact) for name, rows in _by_matcher(pictures).items()]
         tables.append(markdown_table(("depth", *of_blurs), lines))
+        if len({row["picture"] for row in pictures}) > 1:
+            tables.append(markdown_table(("picture", "depth", *of_blurs[:-1]), _lines_by_picture(pictures)))
+        costs = [[name, *(number(_mean(pictures, f"{name}_{unit}"), ".2f") for unit in ("s", "mb"))] for name in BLURS]
+        tables.append(markdown_table(("blur", "s of processor", "MB of arrays"), costs))
     return "\n\n".join(tables)
 
 
@@ -120,7 +128,7 @@ class _Lens:
     f_px: float | None = None
 
     def scores(self, disparity_px: FloatMap, *, baseline_m: float | None = None) -> dict[str, object]:
-        """PSNR of every blur by a depth, full frame and edge band, dB, and seconds of processor.
+        """PSNR of every blur by a depth, full frame and edge band, dB; seconds of processor and most memory, MB.
 
         The focus is where a person would set it: on what truly lies at that distance. So an error of the scale, which
         moves the whole map, does not count twice.
@@ -134,9 +142,12 @@ class _Lens:
         focus_px = float(np.median(known_px)) if known_px.size else self.truth.focus_disparity_px
         scores: dict[str, object] = {"picture": self.truth.name, "radius_per_px": true_k}
         for name, blur in BLURS.items():
+            tracemalloc.start()  # NumPy and OpenCV's arrays are counted by it
             begun_s = time.process_time()
             blurred = np.clip(blur(self.photo, disparity_px, focus_px=focus_px, k=k), 0, 1)
             scores[f"{name}_s"] = time.process_time() - begun_s
+            scores[f"{name}_mb"] = tracemalloc.get_traced_memory()[1] / 1e6
+            tracemalloc.stop()
             scores[f"{name}_db"] = psnr_db(blurred, self.truth.picture)
             scores[f"{name}_edges_db"] = psnr_db(blurred, self.truth.picture, mask=band if band.any() else None)
         return scores
@@ -162,8 +173,21 @@ def _picture_line(
     """Means over the pictures; of the squared error of our blur, the share that the true depth would not have made."""
     by_rendering = [10 ** ((_db(row) - _db(exact[_place(row)])) / 10) for row in rows]
     lost = 100 * (1 - float(np.mean(by_rendering)))
-    decibels = [(number(_mean(rows, f"{n}_db"), ".1f"), number(_mean(rows, f"{n}_edges_db"), ".1f")) for n in BLURS]
-    return [matcher, *(f"{full}, {edges}" for full, edges in decibels), number(lost, ".0f")]
+    return [matcher, *_decibels(rows), number(lost, ".0f")]
+
+
+def _lines_by_picture(rows: Sequence[Mapping[str, object]]) -> list[list[str]]:
+    """Means over the captures, for each distance and aperture, of each depth."""
+    lines = []
+    for picture in dict.fromkeys(str(row["picture"]) for row in rows):
+        of_picture = _by_matcher([row for row in rows if row["picture"] == picture])
+        lines += [[picture, matcher, *_decibels(some)] for matcher, some in of_picture.items()]
+    return lines
+
+
+def _decibels(rows: Sequence[Mapping[str, object]]) -> list[str]:
+    pairs = [[number(_mean(rows, f"{name}_{part}db"), ".1f") for part in ("", "edges_")] for name in BLURS]
+    return [f"{full}, {edges}" for full, edges in pairs]
 
 
 def _db(row: Mapping[str, object]) -> float:

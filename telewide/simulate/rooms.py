@@ -67,7 +67,7 @@ class RoomShots:
         samples: rays per pixel and light.
         is_vertical: whether the lenses stand above one another; None lets the seed say.
         is_raw: DNG instead of JPEG.
-        has_bokeh: whether to render what three apertures focused on three distances see, a hundred times a photo's work.
+        has_bokeh: whether to render what three apertures see, focused on three distances: 60 times a photo's work.
     """
 
     width: int = 720

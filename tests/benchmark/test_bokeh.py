@@ -113,8 +113,12 @@ def test_pictures_of_every_focus_and_aperture_are_scored_by_own_and_by_true_dept
     mean_db = {name: np.mean([row[f"{name}_edges_db"] for row in exact]) for name in BLURS}
     assert max(mean_db, key=lambda name: mean_db[name]) == "ours"
     assert mean_db["ours"] > mean_db["gaussian"] + 1
-    line = next(line for line in done.stdout.splitlines() if line.startswith("| true depth"))
+    lines = done.stdout.splitlines()
+    line = next(line for line in lines if line.startswith("| true depth"))
     assert line.split("|")[-2].strip() == "0"  # nothing is lost by it
+    assert sum(line.startswith("| bokeh-") for line in lines) == 18
+    costs = [line.split("|")[1:-1] for line in lines if line.startswith("| ours ")]
+    assert all(float(cost) > 0 for cost in costs[-1][1:])
 
 
 def test_a_damaged_truth_is_named(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from telewide.simulate.room_furniture import bare_room, random_room
 from telewide.simulate.room_paint import chessboard
 from telewide.simulate.room_render import ApertureSetting, RoomTracer
 from telewide.simulate.room_scene import Room, light, panel
-from telewide.simulate.rooms import RoomShots, board_in, write_rooms
+from telewide.simulate.rooms import BOKEH_F_NUMBERS, RoomShots, board_in, write_rooms
 from telewide.srgb import srgb_from_linear
 
 
@@ -176,13 +176,17 @@ def test_a_phone_is_written_with_all_that_is_true_of_it(tmp_path: Path) -> None:
     assert 0.0099 < truth["baseline_m"] < 0.0151
     assert 2.8 < truth["asymmetry"] < 3.15
     assert truth["shots"]["000"]["wide"]["K"] != truth["wide"]["K"]
-    bokeh = json.loads((tmp_path / "truth" / "000" / "bokeh.json").read_text())
     disparity_px = read_pfm(tmp_path / "captures" / "000" / "truth.pfm")
-    assert disparity_px.min() < bokeh["focus_disparity_px"] < disparity_px.max()
-    assert bokeh["focus_disparity_px"] * bokeh["focus_distance_m"] == pytest.approx(
-        truth["tele"]["K"][0][0] * truth["baseline_m"]
-    )
-    assert read_image(tmp_path / "truth" / "000" / "bokeh.png").shape == (64, 96, 3)
+    facts = {path.stem: json.loads(path.read_text()) for path in (tmp_path / "truth" / "000").glob("bokeh-*.json")}
+    assert set(facts) == {f"bokeh-{focus}-{size}" for focus in ("far", "mid", "near") for size in BOKEH_F_NUMBERS}
+    for name, bokeh in facts.items():
+        assert disparity_px.min() <= bokeh["focus_disparity_px"] <= disparity_px.max()
+        assert bokeh["focus_disparity_px"] * bokeh["focus_distance_m"] == pytest.approx(
+            truth["tele"]["K"][0][0] * truth["baseline_m"]
+        )
+        assert 2 * bokeh["aperture_radius_m"] * BOKEH_F_NUMBERS[name.rpartition("-")[2]] == pytest.approx(0.050)
+        assert read_image(tmp_path / "truth" / "000" / f"{name}.png").shape == (64, 96, 3)
+    assert facts["bokeh-far-large"]["focus_distance_m"] > facts["bokeh-near-large"]["focus_distance_m"]
     assert read_image(tmp_path / "truth" / "hidden" / "000.png").shape[:2] == (64, 96)
 
 
