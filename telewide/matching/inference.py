@@ -145,8 +145,8 @@ def match_with_network(
     check_window(window)
     network.eval()
     hw = ref.shape[:2]
-    enlarged_hw = _enlarged_hw(hw) if network.has_confidence else hw
-    if enlarged_hw == hw or _detail(src) < LEAST_DETAIL * _detail(ref):
+    enlarged_hw = enlarged_size(ref, src, network=network)
+    if enlarged_hw == hw:
         found = _match_views(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)
     else:
         scale = enlarged_hw[1] / hw[1]
@@ -158,16 +158,26 @@ def match_with_network(
     return without_unphotographed(found, valid)
 
 
+def enlarged_size(ref: FloatImage, src: FloatImage, *, network: StereoNetwork) -> tuple[int, int]:
+    """The height and width at which a network matches two views, px: larger than their own where they are small.
+
+    Args:
+        ref: (H, W, 3) sharp view.
+        src: (H, W, 3) other view.
+        network: only those with a confidence of their own gain by it.
+    """
+    height, width = ref.shape[:2]
+    scale = min(MOST_ENLARGED, math.sqrt(ENLARGED_TO_PIXELS / (height * width)))
+    if scale <= 1 or not network.has_confidence or _detail(src) < LEAST_DETAIL * _detail(ref):
+        return height, width
+    return round(scale * height), round(scale * width)
+
+
 def _detail(view: FloatImage) -> float:
     """Mean distance of a view from its blurred self, in standard deviations of the view."""
     grey = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY)
     fine = np.abs(grey - cv2.GaussianBlur(grey, (0, 0), DETAIL_SIGMA_PX))
     return float(fine.mean() / max(float(grey.std()), 1e-6))
-
-
-def _enlarged_hw(hw: tuple[int, ...]) -> tuple[int, ...]:
-    scale = min(MOST_ENLARGED, math.sqrt(ENLARGED_TO_PIXELS / (hw[0] * hw[1])))
-    return tuple(round(scale * side) for side in hw) if scale > 1 else hw
 
 
 def _enlarged(view: FloatImage, hw: tuple[int, ...]) -> FloatImage:

@@ -21,11 +21,11 @@ import torch
 
 from telewide.assets import BOX_WEIGHTS
 from telewide.capture.exif import read_photo_facts
-from telewide.capture.pair import Capture, PairReader
+from telewide.capture.pair import Capture, PairReader, read_pair
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.files import changing, is_file, is_folder
-from telewide.matching.inference import choose_device, match_with_network
+from telewide.matching.inference import choose_device, enlarged_size, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
 from telewide.points.held_out import HeldOut
@@ -137,7 +137,8 @@ def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.devi
         _label(prepared, record, processes, tick=observer.labelling(len(prepared.pairs)))
     processes.wait()
     logged = LoggedReporter(observer, run, partial(_rows, prepared, record), is_writer=processes.is_writer)
-    run_training(_training(prepared, run, record, recipe, device=device, processes=processes), state, reporter=logged)
+    training = _training(prepared, run, record, recipe, network=state.network, device=device, processes=processes)
+    run_training(training, state, reporter=logged)
     return outcome_of(run, plan, state, is_new=True)
 
 
@@ -246,15 +247,18 @@ def _training(
     record: TrainingRecord,
     recipe: Recipe,
     *,
+    network: StereoNetwork,
     device: torch.device,
     processes: Processes,
 ) -> Training:
     seen = tuple(item.capture for item in prepared.pairs if item.capture.name not in record.held_out)
     area = CropArea() if record.held_out else CropArea(end=1 - recipe.train.held_out_share)
+    enlargement = _enlargement(seen, network)
     source = SampleSource(
         captures=seen,
-        crop_hw=_fitting_crop(seen, area, recipe),
+        crop_hw=_fitting_crop(seen, area, recipe, enlargement=enlargement),
         window_px=record.window,
+        enlargement=enlargement,
         asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
         area=area,
         labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
@@ -282,10 +286,19 @@ def _worlds_judge(recipe: Recipe) -> Judge:
     return crops_judge(WorldBatches(source, judge_stage(steps=JUDGED_STEPS)), window=source.window_px)
 
 
-def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe) -> tuple[int, int]:
+def _enlargement(seen: Sequence[Capture], network: StereoNetwork) -> float:
+    """Size at which the network will match the captures, in their own; the first stands for all."""
+    pair = read_pair(seen[0])
+    _, width = enlarged_size(pair.tele, pair.wide, network=network)
+    return float(width / pair.tele.shape[1])
+
+
+def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe, *, enlargement: float) -> tuple[int, int]:
     """The recipe's crop, or a smaller one where the smallest picture would have to be enlarged to fill it."""
     with_size = [hw for capture in seen if (hw := read_photo_facts(capture.tele_path).hw) is not None]
-    sizes_hw = [(height, int((area.end - area.first) * width)) for height, width in with_size]
+    sizes_hw = [
+        (int(enlargement * height), int(enlargement * (area.end - area.first) * width)) for height, width in with_size
+    ]
     return fitting_crop(recipe.train.crop_hw, sizes_hw or [recipe.train.crop_hw])
 
 

@@ -21,7 +21,7 @@ from telewide.geometry.stereo import ValidMasks
 from telewide.training.objective import Batch
 from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
 from telewide.training.stages import Stage
-from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crop, worlds_for
+from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crop, enlarged_crop, worlds_for
 
 _REHEARSED, _CAPTURED = 0, 1
 
@@ -58,7 +58,7 @@ class StepBatches(Dataset[Batch]):
             crop_hw=source.crop_hw,
             crops=options.rehearsed,
             mine=sum(crop < options.rehearsed for crop in self._mine),
-            window_px=source.window_px,
+            window_px=source.volume_px,
             photos=SeenPhotos(source),
         )
 
@@ -77,18 +77,21 @@ class StepBatches(Dataset[Batch]):
             for crop in mine
             if crop >= options.rehearsed
         ]
-        batch = collate([*rehearsed, *captured], n_rehearsed=len(rehearsed))
+        batch = replace(collate([*rehearsed, *captured], n_rehearsed=len(rehearsed)), window=self._source.volume_px)
         return batch if self._stage.needs_undamaged else replace(batch, undamaged=None)
 
     def _rehearsed(self, step: int, crop: int) -> Sample:
         """A crop of a world painted with the user's own photos too, its source view damaged as by the wide lens."""
         rng = self._generator(step, _REHEARSED, crop)
-        crisp = self._worlds.crop(step, crop, rng=rng, window=self._source.window_px)
-        damaged = damaged_crop(crisp, rng, factors=self._source.asymmetry, equal_share=0.0)
+        source = self._source
+        crisp = self._worlds.crop(step, crop, rng=rng, window=source.volume_px, scale=1 / source.enlargement)
+        damaged = damaged_crop(crisp, rng, factors=source.asymmetry, equal_share=0.0)
+        if source.enlargement > 1:
+            crisp, damaged = (enlarged_crop(cut, hw=source.crop_hw) for cut in (crisp, damaged))
         ref, src, *undamaged = (
             np.ascontiguousarray(view.permute(1, 2, 0)) for view in (damaged.ref, damaged.src, crisp.ref, crisp.src)
         )
-        truth_px, occluded = crisp.truth_px.numpy(), crisp.occluded.numpy()
+        truth_px, occluded = damaged.truth_px.numpy(), damaged.occluded.numpy()
         return Sample(ref, src, truth_px, occluded=occluded, undamaged=(undamaged[0], undamaged[1]))
 
     def _generator(self, *salt: int) -> np.random.Generator:

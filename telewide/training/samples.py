@@ -22,6 +22,7 @@ from telewide.capture.pair import Capture, PairReader, RectifiedPair
 from telewide.capture.pfm import read_pfm
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
 from telewide.geometry.stereo import ValidMasks
+from telewide.matching.window import Window, scaled_window
 
 _ZOOM = (0.75, 1.2)
 """Enlargement of a crop of a capture. Above 1 disparities spread, and the margin of the window has to hold them."""
@@ -77,7 +78,8 @@ class SampleSource:
         captures: corrected captures to draw from.
         labels_folder: holds each capture's confident disparities, px, named by :func:`labels_path`; None for none.
         crop_hw: size of the crops.
-        window_px: disparities that the volume holds.
+        window_px: disparities of the captures.
+        enlargement: how many times larger crops show the captures than they are, as the network will match them.
         asymmetry: range of the factor by which rehearsed views are damaged.
         area: the part of each capture that may be seen.
         undamaged: by the name of a capture, the same with a source view that was not damaged; for data sets that are
@@ -87,12 +89,18 @@ class SampleSource:
 
     captures: tuple[Capture, ...]
     crop_hw: tuple[int, int]
-    window_px: tuple[int, int]
+    window_px: Window
+    enlargement: float = 1.0
     asymmetry: tuple[float, float] = (1.0, 6.0)
     area: CropArea = field(default_factory=CropArea)
     labels_folder: Path | None = None
     undamaged: Mapping[str, Capture] | None = None
     reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=768 << 20), compare=False)
+
+    @property
+    def volume_px(self) -> Window:
+        """Disparities of the crops, which the volume holds."""
+        return scaled_window(self.window_px, self.enlargement)
 
 
 def labels_path(folder: Path, *, window_px: tuple[int, int]) -> Path:
@@ -238,18 +246,18 @@ class _Box:
 
 
 def _random_box(hw: tuple[int, ...], source: SampleSource, rng: np.random.Generator) -> tuple[_Box, int]:
-    """A box of the crop's shape in ref, and by how much it lies further left in src, px.
+    """A box of the crop's shape in ref, and by how much it lies further left in src, px of the capture.
 
     The shift leaves the middle of the window where it is, whatever the zoom: disparities spread about it, and none that
     the window holds by its margin leaves it. Pictures smaller than the crop are enlarged to fill it.
     """
-    zoom = float(rng.uniform(*_ZOOM))
+    zoom = float(rng.uniform(*_ZOOM)) * source.enlargement
     first_x, end_x = _seen_columns(hw[1], source)
     crop_h, crop_w = source.crop_hw
     zoom = max(zoom, crop_h / hw[0], crop_w / (end_x - first_x))
     box_h, box_w = max(8, int(crop_h / zoom)), max(8, int(crop_w / zoom))
     middle_px = sum(source.window_px) / 2
-    shift_px = round(middle_px * (1 - box_w / crop_w))
+    shift_px = round(middle_px * (1 - source.enlargement * box_w / crop_w))
     if abs(shift_px) > end_x - first_x - box_w:  # no room in src: as it is, or as near to that as the picture allows
         box_h, box_w, shift_px = min(crop_h, hw[0]), min(crop_w, end_x - first_x), 0
     low_x, high_x = first_x + max(0, shift_px), end_x - box_w + min(0, shift_px)

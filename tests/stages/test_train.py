@@ -41,7 +41,7 @@ from telewide.stages.training_record import read_training
 from telewide.training import loop
 from telewide.training.checkpoint import TrainingState
 from telewide.training.loop import DECISIVE, Training
-from telewide.training.samples import CropArea
+from telewide.training.samples import CropArea, SampleSource
 from telewide.training.stages import plan_stages
 
 NAN = math.nan
@@ -186,6 +186,20 @@ def test_crops_are_no_larger_than_the_part_of_the_pictures_that_training_sees(
     asked = ("train.crop_hw=[256, 384]", "train.rehearsal.steps=0", "train.photometric.steps=1", "train.stages=0")
     run_training(captures, tmp_path / "run", tiny(*asked, path=recipe_path))
     assert begun[0].source.crop_hw == (128, 144)
+
+
+@pytest.mark.parametrize(("network", "enlargement"), [("lite", 1.0), ("guided", 1.5)])
+def test_small_pictures_are_trained_on_at_the_size_at_which_they_are_matched(
+    network: str, enlargement: float, captures: Path, tmp_path: Path, recipe_path: Path, begun: list[Training]
+) -> None:
+    """128 x 192 px, of which `guided` sees half as much again; the window stays that of the pictures."""
+    asked = (f"network={network}", "train.crop_hw=[256, 384]", "train.rehearsal.steps=1", "train.stages=0")
+    run_training(captures, tmp_path / "run", tiny(*asked, "train.photometric.steps=0", path=recipe_path))
+    source = begun[0].source
+    assert isinstance(source, SampleSource)
+    assert source.enlargement == enlargement
+    assert source.crop_hw == ((192, 224) if network == "guided" else (128, 144))
+    assert begun[0].window == source.window_px == (0, 32)
 
 
 def test_what_is_held_out_is_never_trained_on(
