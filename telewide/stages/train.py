@@ -32,7 +32,7 @@ from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe
 from telewide.stages.call import Call, alone
 from telewide.stages.call import record as record_call
-from telewide.stages.labels import write_labels
+from telewide.stages.labels import teacher_of, write_labels
 from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.training_log import LoggedReporter, drop_log_after
@@ -134,7 +134,7 @@ def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.devi
     if processes.is_writer:
         _note_what_is_taken_up(run, record, state)
     if any(stage.needs_labels for stage in plan[state.stage_index :]):
-        _label(prepared, record, processes, tick=observer.labelling(len(prepared.pairs)))
+        _label(call, prepared, record, tick=observer.labelling(len(prepared.pairs)))
     processes.wait()
     logged = LoggedReporter(observer, run, partial(_rows, prepared, record), is_writer=processes.is_writer)
     training = _training(prepared, run, record, recipe, network=state.network, device=device, processes=processes)
@@ -154,10 +154,11 @@ def planned(recipe: Recipe) -> tuple[Stage, ...]:
     return plan
 
 
-def _label(prepared: PreparedSet, record: TrainingRecord, processes: Processes, *, tick: Callable[[], None]) -> None:
+def _label(call: Call, prepared: PreparedSet, record: TrainingRecord, *, tick: Callable[[], None]) -> None:
     """Write the labels of this process' share of the captures that training sees."""
     names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
-    write_labels(prepared, names=processes.share(names), window=record.window, tick=tick)
+    mine, teacher = call.processes.share(names), teacher_of(call.recipe.train)
+    write_labels(prepared, names=mine, window=record.window, teacher=teacher, device=call.device, tick=tick)
 
 
 def _take_up(
@@ -262,6 +263,7 @@ def _training(
         asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
         area=area,
         labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
+        teacher=teacher_of(recipe.train),
     )
     judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
     if recipe.train.rehearsal.steps and recipe.train.rehearsal.rehearsed:
