@@ -254,7 +254,7 @@ def _training(
 ) -> Training:
     seen = tuple(item.capture for item in prepared.pairs if item.capture.name not in record.held_out)
     area = CropArea() if record.held_out else CropArea(end=1 - recipe.train.held_out_share)
-    enlargement = _enlargement(seen, network)
+    enlargement = enlargement_of(seen, network)
     source = SampleSource(
         captures=seen,
         crop_hw=_fitting_crop(seen, area, recipe, enlargement=enlargement),
@@ -288,8 +288,8 @@ def _worlds_judge(recipe: Recipe) -> Judge:
     return crops_judge(WorldBatches(source, judge_stage(steps=JUDGED_STEPS)), window=source.window_px)
 
 
-def _enlargement(seen: Sequence[Capture], network: StereoNetwork) -> float:
-    """Size at which the network will match the captures, in their own; the first stands for all."""
+def enlargement_of(seen: Sequence[Capture], network: StereoNetwork) -> float:
+    """Width at which a network will match captures, in their own; the first stands for all."""
     pair = read_pair(seen[0])
     _, width = enlarged_size(pair.tele, pair.wide, network=network)
     return float(width / pair.tele.shape[1])

@@ -19,10 +19,10 @@ from telewide.benchmark.paper.pairs import TrainingPairs, digest_of
 from telewide.benchmark.paper.system import Place, Task, source_fingerprint
 from telewide.files import fingerprint, is_file
 from telewide.folders import alone_in
-from telewide.matching.networks import StereoNetwork
+from telewide.matching.networks import StereoNetwork, build_network
 from telewide.recipe import Recipe
 from telewide.records import Record, read_record, write_record
-from telewide.stages.train import workers_for
+from telewide.stages.train import enlargement_of, workers_for
 from telewide.training.checkpoint import STATE_NAME, TrainingState, load_state, new_state
 from telewide.training.judge import Judge
 from telewide.training.loop import Training, go_on
@@ -234,10 +234,13 @@ def _begun(
 
 def _training(chain: Chain, options: TrainOptions, folder: Path, *, device: torch.device, n_steps: int) -> Training:
     pairs = chain.pairs
+    enlargement = enlargement_of(pairs.captures, build_network(chain.recipe.network))
+    sizes_hw = [(int(enlargement * height), int(enlargement * width)) for height, width in pairs.sizes_hw]
     source = SampleSource(
         captures=pairs.captures,
-        crop_hw=fitting_crop(options.crop_hw, pairs.sizes_hw),
+        crop_hw=fitting_crop(options.crop_hw, sizes_hw),
         window_px=chain.task.window,
+        enlargement=enlargement,
         asymmetry=chain.asymmetry,
         labels_folder=pairs.labels_folder,
         undamaged=pairs.undamaged,

@@ -45,10 +45,12 @@ from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window
 from telewide.points.held_out import summarise_errors
 from telewide.points.matches import find_matches
+from telewide.stages.labels import teacher_of
 from telewide.stages.train import USUAL_ASYMMETRY
 from telewide.training.checkpoint import STATE_NAME, load_state, load_weights
 from telewide.training.judge import Judge
 from telewide.training.loop import best_name
+from telewide.training.options import TrainOptions
 from telewide.training.stages import SPACE_STAGE, Stage, plan_stages
 
 
@@ -72,7 +74,9 @@ def prepare_learned(system: LearnedSystem, task: Task, place: Place, *, sources:
         return Prepared({"": _matcher(published_psmnet(files[0]).to(device))})
     view, view_facts = _second_view(system, plan, task, place)
     shown = undamaged_view(task) if plan[-1].options.symmetric_input else view
-    pairs = write_pairs(task, place, second_view=view, view_facts=view_facts, teaches_by=_teaches_by(plan))
+    pairs = write_pairs(
+        task, place, second_view=view, view_facts=view_facts, teaches_by=_teaches_by(recipe.train, plan)
+    )
     chain = Chain(
         recipe=recipe,
         first_share=system.first_share,
@@ -114,10 +118,13 @@ def _second_view(
     return enlarged_view(task), facts
 
 
-def _teaches_by(plan: tuple[Stage, ...]) -> str | None:
+def _teaches_by(options: TrainOptions, plan: tuple[Stage, ...]) -> str | None:
     if any(stage.options.captured_loss == "supervised" for stage in plan):
         return "truth"
-    return "labels" if any(stage.needs_labels for stage in plan) else None
+    if not any(stage.needs_labels for stage in plan):
+        return None
+    teacher = teacher_of(options)
+    return f"labels-{teacher}" if teacher else "labels"
 
 
 def truth_judge(task: Task, shown: SecondView) -> Judge:

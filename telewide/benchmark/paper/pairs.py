@@ -15,6 +15,7 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint
 from telewide.capture.images import write_image
@@ -25,6 +26,7 @@ from telewide.errors import InputError
 from telewide.files import is_file, write_text
 from telewide.folders import alone_in
 from telewide.stages.labels import confident_disparity
+from telewide.stages.match import read_matcher
 from telewide.training.samples import labels_path
 
 _DONE = "pairs.json"
@@ -65,7 +67,8 @@ def write_pairs(
         place: of everything that is learned.
         second_view: what the system sees as the second view.
         view_facts: all that the second view depends on besides the scenes.
-        teaches_by: truth, labels (confident semi-global disparities), or None.
+        teaches_by: truth, labels (confident semi-global disparities), labels-TEACHER (those of the network in the
+            box, as of `teacher_of`), or None.
 
     Raises:
         InputError: the task has no scenes to learn from, or one cannot be read.
@@ -87,8 +90,8 @@ def write_pairs(
                 write_image(folder / _name(scene) / "sharp.png", truth.right)
                 write_pfm(labels_path(folder / "truth" / _name(scene), window_px=task.window), truth.disparity_px)
             write_text(folder / _DONE, json.dumps(facts) + "\n")
-        if teaches_by == "labels":
-            _write_labels(folder, tuple(sharp), task, place)
+        if teaches_by is not None and teaches_by != "truth":
+            _write_labels(folder / teaches_by, tuple(sharp), task, place)
     views = partial(_capture, folder)
     return TrainingPairs(
         tuple(views(name, "wide.png") for name in sharp),
@@ -109,9 +112,11 @@ def _capture(folder: Path, name: str, wide: str) -> Capture:
 
 
 def _write_labels(folder: Path, names: tuple[str, ...], task: Task, place: Place) -> None:
+    is_network = folder.name != "labels"
+    match = read_matcher(BOX_WEIGHTS, method="network" if is_network else "sgm", device=task.device).match
     for name in names:
-        path = labels_path(folder / "labels" / name, window_px=task.window)
+        path = labels_path(folder / name, window_px=task.window)
         if not is_file(path):
-            place.tell(f"{name}: labelled by semi-global matching")
-            pair = read_pair(_capture(folder, name, "wide.png"))
-            write_pfm(path, confident_disparity(pair, task.window))
+            place.tell(f"{name}: labelled by {'the network in the box' if is_network else 'semi-global matching'}")
+            pair = read_pair(_capture(folder.parent, name, "wide.png"))
+            write_pfm(path, confident_disparity(pair, task.window, match=match))
