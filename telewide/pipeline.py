@@ -98,7 +98,7 @@ def depth_captures(
         matcher = choose_matcher(call, method=options.method, weights=options.weights)
         make_folder(call, options)
         pairs = prepare(call)
-        return report_depth(call, compute_depth(call, pairs, matcher, options=options))
+        return report_depth(call, compute_depth(call, pairs, matcher, options=options), bokeh=options.bokeh)
 
 
 def run_captures(
@@ -130,4 +130,4 @@ def run_captures(
             train(call, pairs, fresh=False)
         matcher = choose_matcher(call, method=options.method, weights=options.weights)
         depths = compute_depth(call, pairs, matcher, options=options)
-        return report(call, depths) if trains else report_depth(call, depths)
+        return (report if trains else report_depth)(call, depths, bokeh=options.bokeh)

@@ -44,12 +44,14 @@ class Focus:
         x_px: column of the point of that plane nearest to where it was looked for.
         y_px: its row.
         sharp_px: farthest and nearest disparity that are sharp with it: a subject in its depth; None for the plane.
+        is_on_surface: whether that point lies on the plane; else nothing does, and it is the nearest to it in depth.
     """
 
     disparity_px: float
     x_px: int
     y_px: int
     sharp_px: tuple[float, float] | None = None
+    is_on_surface: bool = True
 
 
 def find_focus(
@@ -91,7 +93,9 @@ def find_focus(
     if not trusted.any():
         trusted = known
     if distance_m is not None and disparity_at_m is not None:
-        return _placed(disparity_px, trusted, disparity_at_m(distance_m))
+        placed = _placed(disparity_px, trusted, disparity_at_m(distance_m))
+        off_px = abs(float(disparity_px[placed.y_px, placed.x_px]) - placed.disparity_px)
+        return replace(placed, is_on_surface=off_px <= SAME_SURFACE_PX)
     if _word(focus) == "auto":
         return _on_subject(disparity_px, trusted, confidence)
     percent = 100 - OUTLIER_PERCENT if _word(focus) == "near" else OUTLIER_PERCENT

@@ -163,6 +163,13 @@ def focus_note(
         options: what was asked for.
         std_m: standard deviation of the distance, m; None likewise.
     """
+    if not focus.is_on_surface:
+        nearest = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
+        distance_m = named_distance_m(options.focus)
+        return (
+            f"{name}: bokeh is focused {distance_m:g} m away, where nothing is, so all of it is blurred; nearest to "
+            f"that is x {focus.x_px}, y {focus.y_px}{nearest}"
+        )
     distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
     word = options.focus.strip().lower()
     ways = {
@@ -206,7 +213,7 @@ def bokeh_picture(
         raise UsageError(refusal)
     if focus is None:
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
-    radius_per_px = _radius_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
+    radius_per_px = blur_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
     return render_bokeh(
         photo,
         disparity.disparity_px,
@@ -269,7 +276,7 @@ def held_back_note(
     """
     if not options.has_stated_strength:
         return None
-    radius_per_px = _radius_per_px(disparity_px, focus, options=options, baseline_m=baseline_m)
+    radius_per_px = blur_per_px(disparity_px, focus, options=options, baseline_m=baseline_m)
     asked_px = radius_per_px * largest_step_px(disparity_px, focus.disparity_px, sharp_px=focus.sharp_px)
     cap_px = LARGEST_RADIUS_SHARE * min(disparity_px.shape)
     if not asked_px > cap_px:
@@ -280,7 +287,15 @@ def held_back_note(
     )
 
 
-def _radius_per_px(disparity_px: FloatMap, focus: Focus, *, options: BokehOptions, baseline_m: float | None) -> float:
+def blur_per_px(disparity_px: FloatMap, focus: Focus, *, options: BokehOptions, baseline_m: float | None) -> float:
+    """Blur that options ask for: px of radius per px of disparity away from the focus.
+
+    Args:
+        disparity_px: (H, W) on the photo, px.
+        focus: what is sharp.
+        options: strength or f-number; neither for the default.
+        baseline_m: distance of the lenses, m; needed for an f-number.
+    """
     if options.f_number is not None and baseline_m is not None:
         return radius_per_px_from_f_number(
             f_number=options.f_number, baseline_m=baseline_m, equiv_focal_mm=options.equiv_focal_mm

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.bokeh.focus import Focus
+from telewide.bokeh.picture import BokehOptions
 from telewide.capture.images import read_image
 from telewide.capture.pair import PhotoPair
 from telewide.depth.formats.numpy_archive import NPZ_NAME, read_disparity
@@ -25,7 +27,7 @@ from telewide.geometry.stereo import DisparityMap
 from telewide.npz import read_npz
 from telewide.pages.curves import Curve
 from telewide.pages.report import NextStep, PageLink, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
-from telewide.pages.viewed import Metric, viewed_capture
+from telewide.pages.viewed import Metric, Opening, viewed_capture
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
@@ -47,6 +49,7 @@ def report_row(
     numbers: Mapping[str, float],
     rotated_deg: int = 0,
     corrected: Path | None = None,
+    bokeh_asked: BokehOptions | None = None,
 ) -> ReportRow:
     """The line of one capture: its photos, preview and bokeh, its numbers, and what a person can look at closely.
 
@@ -57,6 +60,7 @@ def report_row(
         numbers: as the pipeline gives them.
         rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the results are.
         corrected: folder with the corrected pair; None where there is none.
+        bokeh_asked: what the page opens with; None where none was asked for.
     """
     tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
     pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
@@ -70,11 +74,33 @@ def report_row(
         corrections = {} if corrected is None else _corrected_pictures(corrected, rotated_deg=rotated_deg)
         if disparity.disparity_px.shape == tele.shape[:2] and np.isfinite(disparity.disparity_px).any():
             metric = _metric_of(folder / NPZ_NAME)
-            viewed = viewed_capture(tele, disparity, others={**others, **corrections}, metric=metric, name=pair.name)
+            viewed = viewed_capture(
+                tele,
+                disparity,
+                others={**others, **corrections},
+                metric=metric,
+                name=pair.name,
+                opening=_opening_of(bokeh_asked, numbers),
+            )
     except TelewideError as error:
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
     pictures += [thumbnail(label, others[label], link=_link(path, root)) for label, path in bokeh.items()]
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
+
+
+def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Opening | None:
+    """What the page opens with: the bokeh that was made, as its numbers tell; None where there is none."""
+    if asked is None or not {"focus_px", "focus_x_px", "focus_y_px", "blur_per_px"} <= numbers.keys():
+        return None
+    x_px, y_px = (round(numbers[f"focus_{axis}_px"]) for axis in "xy")
+    sharp_px = (numbers["sharp_far_px"], numbers["sharp_near_px"]) if "sharp_far_px" in numbers else None
+    return Opening(
+        Focus(numbers["focus_px"], x_px, y_px, sharp_px=sharp_px),
+        numbers["blur_per_px"],
+        f_number=asked.f_number,
+        blades=asked.aperture.blades,
+        lights=asked.highlights,
+    )
 
 
 def _metric_of(npz: Path) -> Metric | None:

@@ -6,17 +6,18 @@ Maps are PNGs of 8-bit channels, which browsers decode exactly. Letters: H W ima
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from telewide.bokeh.focus import find_focus
+from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
 from telewide.bokeh.highlights import light_share
-from telewide.bokeh.picture import DEFAULT_STRENGTH_SHARE
-from telewide.bokeh.render import LARGEST_RADIUS_SHARE, largest_step_px
+from telewide.bokeh.picture import BokehOptions, blur_per_px
+from telewide.bokeh.render import LARGEST_RADIUS_SHARE, radius_per_px_from_f_number
 from telewide.depth.preview import disparity_panel
 from telewide.depth.result import FARTHEST_M, DepthResult
 from telewide.drawing import fitted_wh, scaled_image
@@ -28,6 +29,7 @@ STEPS = 4095
 """Disparity is shown to so many parts of its range: what lies below is noise, and takes half of the file."""
 MOST_BYTES = 5_800_000
 """Of one capture in the page, base64 included."""
+DEFAULT_F_NUMBER, DEFAULT_LIGHTS = 1.8, 4.0
 _QUALITIES = (88, 75, 60, 40)
 _CONFIDENCE_STEPS = 50
 
@@ -47,8 +49,33 @@ class Metric:
     baseline_m: float
 
 
+@dataclass(frozen=True)
+class Opening:
+    """How the page opens: as the bokeh that was asked for.
+
+    Attributes:
+        focus: what is sharp, px of the photo.
+        blur_per_px: radius of the blur per px of disparity.
+        f_number: that was asked for; None where the blur was given in another way.
+        blades: of the opening; None for a disk.
+        lights: how many times as bright as white small clipped lights were.
+    """
+
+    focus: Focus
+    blur_per_px: float
+    f_number: float | None = None
+    blades: int | None = None
+    lights: float = 1.0
+
+
 def viewed_capture(
-    photo: FloatImage, disparity: DisparityMap, *, others: Mapping[str, FloatImage], metric: Metric | None, name: str
+    photo: FloatImage,
+    disparity: DisparityMap,
+    *,
+    others: Mapping[str, FloatImage],
+    metric: Metric | None,
+    name: str,
+    opening: Opening | None = None,
 ) -> dict[str, object]:
     """Gather what the page needs of a capture, as plain data.
 
@@ -58,6 +85,7 @@ def viewed_capture(
         others: further pictures to compare it with, by their labels, of any size.
         metric: how disparity becomes metres; None where that is not known.
         name: of the capture.
+        opening: what it opens with; None for the nearest large surface in the middle at f/1.8.
 
     Raises:
         InputError: no disparity is known.
@@ -67,8 +95,8 @@ def viewed_capture(
     levels = sort_by_level(small, maps.disparity_px)
     known = np.isfinite(maps.disparity_px)
     low_px, high_px = float(maps.disparity_px[known].min()), float(maps.disparity_px[known].max())
-    focus = find_focus(maps.disparity_px, maps.confidence, focus="auto")
-    span_px = largest_step_px(maps.disparity_px, focus.disparity_px, sharp_px=focus.sharp_px)
+    opens = _default_opening(maps, metric) if opening is None else _made_smaller(opening, wh[0] / photo.shape[1])
+    focus = opens.focus
     result = DepthResult(name=name, disparity=maps)
     pictures = {"tele": small, **{label: _scaled(other, wh=wh) for label, other in others.items()}}
     pictures["disparity"] = disparity_panel(result, wh=wh)
@@ -78,7 +106,6 @@ def viewed_capture(
         ),
         "map": _png(_packed(maps, low_px, high_px)),
     }
-    strongest = max(small.shape[:2]) * DEFAULT_STRENGTH_SHARE / max(span_px, 1e-6)
     return {
         "name": name,
         "wh": list(wh),
@@ -93,10 +120,37 @@ def viewed_capture(
         "focus": [focus.x_px, focus.y_px],
         "focusPx": focus.disparity_px,
         "sharpPx": list(focus.sharp_px or (focus.disparity_px, focus.disparity_px)),
-        "radiusPerPx": strongest,
+        "radiusPerPx": opens.blur_per_px,
+        "fNumber": opens.f_number or _like_f_number(opens.blur_per_px, metric),
+        "blades": opens.blades or 0,
+        "lights": opens.lights,
         "capPx": LARGEST_RADIUS_SHARE * min(small.shape[:2]),
         "metric": None if metric is None else [metric.scale_px_m, metric.doffs_px, metric.baseline_m, FARTHEST_M],
     }
+
+
+def _default_opening(maps: DisparityMap, metric: Metric | None) -> Opening:
+    """What the page opens with where no bokeh was asked for."""
+    focus = find_focus(maps.disparity_px, maps.confidence, focus="auto")
+    options = BokehOptions(f_number=None if metric is None else DEFAULT_F_NUMBER)
+    baseline_m = None if metric is None else metric.baseline_m
+    blur = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
+    return Opening(focus, blur, f_number=options.f_number, lights=DEFAULT_LIGHTS)
+
+
+def _made_smaller(opening: Opening, scale: float) -> Opening:
+    focus = opening.focus
+    x, y = (math.floor((at + 0.5) * scale) for at in (focus.x_px, focus.y_px))
+    sharp_px = None if focus.sharp_px is None else (scale * focus.sharp_px[0], scale * focus.sharp_px[1])
+    small = replace(focus, disparity_px=scale * focus.disparity_px, x_px=x, y_px=y, sharp_px=sharp_px)
+    return replace(opening, focus=small)
+
+
+def _like_f_number(blur: float, metric: Metric | None) -> float:
+    """F-number of a 50 mm lens that blurs so; where metres are not known, the default stands for any blur."""
+    if metric is None or not blur > 0:
+        return DEFAULT_F_NUMBER
+    return radius_per_px_from_f_number(f_number=1.0, baseline_m=metric.baseline_m) / blur
 
 
 def _shown_wh(wh: tuple[int, int]) -> tuple[int, int]:

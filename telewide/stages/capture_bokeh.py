@@ -9,8 +9,16 @@ import math
 from dataclasses import dataclass
 from importlib import metadata
 
-from telewide.bokeh.focus import Focus, find_focus, named_focus
-from telewide.bokeh.picture import BokehOptions, bokeh_picture, bokeh_preview, focus_note, held_back_note, why_no_bokeh
+from telewide.bokeh.focus import Focus, find_focus, named_distance_m, named_focus
+from telewide.bokeh.picture import (
+    BokehOptions,
+    blur_per_px,
+    bokeh_picture,
+    bokeh_preview,
+    focus_note,
+    held_back_note,
+    why_no_bokeh,
+)
 from telewide.capture.carried import CarriedFacts, read_carried
 from telewide.capture.colour_profiles import is_other_than_srgb
 from telewide.capture.exif import read_photo_facts
@@ -45,7 +53,7 @@ class CaptureBokeh:
     Attributes:
         files: the picture; None where this shot cannot have it.
         notes: what it is focused on, or why there is none.
-        numbers: the focus in px, and in metres where they are known.
+        numbers: the focus in px, and in metres where they are known; the blur in px a px of disparity.
     """
 
     files: BokehFiles | None
@@ -84,8 +92,12 @@ def bokeh_of_capture(
     render = bokeh_preview if options.is_preview else bokeh_picture
     pixels = render(own, maps, options=options, baseline_m=baseline_m, focus=focus)
     numbers = _focus_numbers(focus, result)
+    numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
     note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=options)
+    if not focus.is_on_surface:
+        numbers["focus_m"] = named_distance_m(options.focus) or math.nan
+        numbers.pop("focus_std_m", None)
     held_back = held_back_note(result.name, maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     done = note.removeprefix(f"{result.name}: ")
     facts = PictureFacts(software=software(), done=done, of_photo=carried, is_stripped=options.is_stripped)
@@ -127,8 +139,10 @@ def software() -> str:
 
 
 def _focus_numbers(focus: Focus, result: DepthResult) -> dict[str, float]:
-    """Focus of the bokeh in numbers; metres only where they are known."""
+    """Focus of the bokeh in numbers; metres, of what lies there, only where they are known."""
     numbers = {"focus_px": focus.disparity_px, "focus_x_px": float(focus.x_px), "focus_y_px": float(focus.y_px)}
+    if focus.sharp_px is not None:
+        numbers |= {"sharp_far_px": focus.sharp_px[0], "sharp_near_px": focus.sharp_px[1]}
     maps = {"focus_m": result.depth_m, "focus_std_m": result.depth_std_m}
     metres = {name: float(m[focus.y_px, focus.x_px]) for name, m in maps.items() if m is not None}
     return numbers | {name: value for name, value in metres.items() if math.isfinite(value)}

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from telewide.bokeh.picture import BokehOptions
 from telewide.capture.pair import read_photos
 from telewide.pages.report import NextStep, ReportRow
 from telewide.pages.run_page import next_steps, report_row, steps_after_depth, write_run_page
@@ -14,33 +15,36 @@ from telewide.stages.depth import DepthRun
 from telewide.stages.kept_depth import KEPT_NAME
 
 
-def report(call: Call, done: DepthRun) -> DepthRun:
+def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> DepthRun:
     """Write the page about all captures of a training with its depths.
 
     Args:
         call: whose run folder the page lies in.
         done: the depths to show.
+        bokeh: that was asked for, which the page opens with; None where none was.
 
     Returns:
         The same depths, with the page's path where this process wrote it.
     """
     steps = next_steps(call.folder.root, recipe=call.recipe, invocation=call.invocation)
-    return _written(call, done, summary=call.recipe.description, steps=steps)
+    return _written(call, done, summary=call.recipe.description, steps=steps, bokeh=bokeh)
 
 
-def report_depth(call: Call, done: DepthRun) -> DepthRun:
+def report_depth(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> DepthRun:
     """Write the page about depths that were asked for alone; as :func:`report`."""
-    return _written(call, done, summary="", steps=steps_after_depth(call.invocation))
+    return _written(call, done, summary="", steps=steps_after_depth(call.invocation), bokeh=bokeh)
 
 
-def _written(call: Call, done: DepthRun, *, summary: str, steps: tuple[NextStep, ...]) -> DepthRun:
+def _written(
+    call: Call, done: DepthRun, *, summary: str, steps: tuple[NextStep, ...], bokeh: BokehOptions | None
+) -> DepthRun:
     """Write the page beside the folder of the depths, or in it where its user named it; one process does."""
     if not call.processes.is_writer:
         return done
     root = call.folder.root if done.folder == call.folder.depth else done.folder
     page = write_run_page(
         root,
-        _rows(call, done, root=root),
+        _rows(call, done, root=root, bokeh=bokeh),
         names=[outcome.name for outcome in done.outcomes],
         log=call.folder.training_log,
         summary=summary,
@@ -60,7 +64,7 @@ def _others(done: DepthRun) -> int:
     return sum(record.parent.name not in names for record in done.folder.glob(f"*/{KEPT_NAME}"))
 
 
-def _rows(call: Call, done: DepthRun, *, root: Path) -> Iterator[ReportRow]:
+def _rows(call: Call, done: DepthRun, *, root: Path, bokeh: BokehOptions | None) -> Iterator[ReportRow]:
     captures = {capture.name: capture for capture in call.captures.captures}
     for outcome in done.outcomes:
         yield report_row(
@@ -70,4 +74,5 @@ def _rows(call: Call, done: DepthRun, *, root: Path) -> Iterator[ReportRow]:
             numbers=outcome.numbers,
             rotated_deg=0 if call.rig is not None else call.captures.facts.rotated_deg,  # a rig's photos are not turned
             corrected=call.folder.pairs / outcome.name,
+            bokeh_asked=bokeh,
         )

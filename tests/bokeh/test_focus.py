@@ -96,6 +96,18 @@ def test_a_distance_is_the_plane_at_it(scene_px: np.ndarray) -> None:
         find_focus(scene_px, confidence, focus="2.5m")
 
 
+@pytest.mark.parametrize("focus", ["50m", "0.1m", "4m"])
+def test_a_distance_at_which_nothing_is_says_so_and_contradicts_itself_in_nothing(
+    scene_px: np.ndarray, focus: str
+) -> None:
+    """Behind everything, before everything, and between the person and the wall."""
+    found = find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: 30 / depth_m - 4)
+    assert not found.is_on_surface
+    note = focus_note("000", found, depth_m=1.5, options=BokehOptions(focus=focus))
+    assert f"focused {focus[:-1]} m away, where nothing is" in note
+    assert f"nearest to that is x {found.x_px}, y {found.y_px}, 1.50 m away" in note
+
+
 @pytest.mark.parametrize("focus", ["0m", "0.0 m"])
 def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="above 0 m"):

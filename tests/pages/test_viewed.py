@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from telewide.bokeh.focus import Focus
 from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
+from telewide.bokeh.render import radius_per_px_from_f_number
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.report import ReportRow, thumbnail, write_report
 from telewide.pages.run_page import CAPTURES_A_PAGE, write_run_page
-from telewide.pages.viewed import LONGEST_PX, STEPS, Metric, viewed_capture
+from telewide.pages.viewed import LONGEST_PX, STEPS, Metric, Opening, viewed_capture
 
 BOX = np.s_[20:40, 30:60]
 
@@ -68,6 +70,26 @@ def test_large_photos_are_made_smaller_and_their_disparities_with_them() -> None
     photo_px = large["photoPx"]
     assert photo_px == pytest.approx(1800 / LONGEST_PX)
     np.testing.assert_allclose(np.array(large["levelEnds"]) * photo_px, small["levelEnds"], rtol=0.02)  # type: ignore[operator]
+
+
+def test_the_page_opens_with_the_bokeh_that_was_made() -> None:
+    """On a page of another size than the photo: the same place, the same blur, the same lights."""
+    photo, disparity = scene(times=20)
+    focus = Focus(20.0, 900, 600, sharp_px=(19.0, 21.0))
+    opening = Opening(focus, 0.7, f_number=2.8, blades=7, lights=9.0)
+    told = viewed_capture(photo, disparity, others={}, metric=None, name="one", opening=opening)
+    scale = LONGEST_PX / photo.shape[1]
+    assert told["focus"] == [600, 400]
+    np.testing.assert_allclose([told["focusPx"], *told["sharpPx"]], np.array([20.0, 19.0, 21.0]) * scale)  # type: ignore[misc]
+    assert [told[name] for name in ("radiusPerPx", "fNumber", "blades", "lights")] == [0.7, 2.8, 7, 9.0]
+
+
+def test_a_blur_given_in_pixels_opens_as_the_f_number_that_blurs_so() -> None:
+    photo, disparity = scene()
+    metric = Metric(scale_px_m=12.0, doffs_px=2.0, baseline_m=0.02)
+    opening = Opening(Focus(20.0, 40, 30), radius_per_px_from_f_number(f_number=4.0, baseline_m=0.02))
+    told = viewed_capture(photo, disparity, others={}, metric=metric, name="one", opening=opening)
+    assert told["fNumber"] == pytest.approx(4.0)
 
 
 def test_behind_the_box_the_wall_goes_on() -> None:

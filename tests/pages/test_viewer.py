@@ -19,11 +19,12 @@ from pages.test_board_rig import page_of as rig_page_of
 from PIL import Image
 
 from telewide.bokeh.aperture import Aperture
+from telewide.bokeh.focus import Focus
 from telewide.bokeh.render import radius_per_px_from_f_number, render_bokeh
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.report import NextStep, ReportRow, thumbnail, write_report
-from telewide.pages.viewed import Metric, viewed_capture
+from telewide.pages.viewed import Metric, Opening, viewed_capture
 from telewide.srgb import srgb_from_linear
 
 SIDE = 128
@@ -39,10 +40,10 @@ def world() -> tuple[FloatImage, FloatMap]:
     return photo, (8 * truth.disparity_px()).astype(np.float32)
 
 
-def page_of(tmp_path: Path, *, metric: Metric | None) -> tuple[Path, dict[str, object]]:
+def page_of(tmp_path: Path, *, metric: Metric | None, opening: Opening | None = None) -> tuple[Path, dict[str, object]]:
     photo, disparity_px = world()
     maps = DisparityMap(disparity_px, np.full_like(disparity_px, 0.9), np.ones(disparity_px.shape, np.bool_))
-    told = viewed_capture(photo, maps, others={"wide": photo[::-1]}, metric=metric, name="wheel")
+    told = viewed_capture(photo, maps, others={"wide": photo[::-1]}, metric=metric, name="wheel", opening=opening)
     rows = [ReportRow(name, (thumbnail("tele", photo),), {"a rather long heading, px": 1.5}, told) for name in "ab"]
     command = "telewide depth " + "a/very/long/folder/name/" * 12
     path = write_report(tmp_path / "report.html", rows, title="Page", next_steps=[NextStep("Next:", command)])
@@ -152,6 +153,31 @@ def test_read_out_says_place_disparity_metres_and_confidence(opened: Any) -> Non
     metres = METRIC.scale_px_m / (float(disparity_px[y, x]) + METRIC.doffs_px)
     assert told == f"x {x}, y {y} · {disparity_px[y, x]:.1f} px · {metres:.2f} m · confidence 90 %"
     assert opened.inner_text("#extent") == "From 1.20 m to 6.00 m."
+
+
+def test_it_opens_with_the_bokeh_that_was_made(tmp_path: Path) -> None:
+    """The first picture is the renderer's, of a blur no step of a slider stands for; a turned slider then counts."""
+    _, disparity_px = world()
+    focus = Focus(float(disparity_px.min()), *place_of(disparity_px, disparity_px.min()))
+    opening = Opening(focus, 1.13, f_number=2.2, blades=6, lights=5.0)
+    path, told = page_of(tmp_path, metric=None, opening=opening)
+    sharp = _decoded(told["pictures"]["tele"])  # type: ignore[index]
+    expected = render_bokeh(
+        sharp,
+        disparity_px,
+        focus_disparity_px=focus.disparity_px,
+        radius_per_px=1.13,
+        aperture=Aperture(blades=6),
+        highlights=5.0,
+    )
+    with page_in_browser(path) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        assert psnr(pixels(page), np.clip(expected, 0, 1)) > 38
+        words = [page.inner_text(f"#{name}") for name in ("number", "bladesWord", "lightsWord")]
+        assert words == ["f/2.2", "6", "\N{MULTIPLICATION SIGN} 5"]
+        turn(page, "stop", 12)
+        assert page.inner_text("#number") == "f/4.0"
+        assert page.inner_text("#lightsWord") == words[2]
 
 
 def test_keys_move_the_focus_and_turn_the_aperture(opened: Any) -> None:

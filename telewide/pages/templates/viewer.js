@@ -192,6 +192,7 @@ async function open(index) {
   byId("name").textContent = told.name;
   byId("extent").textContent = extent();
   for (const side of ["left", "right"]) choices(byId(side), side === "left" ? "tele" : "disparity");
+  setSliders();
   aperture();
   compare();
   readOut(...told.focus);
@@ -254,15 +255,27 @@ function lensPoints(blades, count) {
   return points;
 }
 
+const turned = new Set(); // sliders
+
+function setSliders() {
+  const stops = 6 * Math.log2(scene.told.fNumber), set = (id, value) => { if (!turned.has(id)) byId(id).value = value; };
+  byId("stop").min = Math.min(0, Math.floor(stops));
+  byId("stop").max = Math.max(24, Math.ceil(stops));
+  set("stop", stops);
+  set("blades", scene.told.blades || 4);
+  set("lights", Math.log2(scene.told.lights));
+}
+
 function aperture() {
-  const stops = Number(byId("stop").value), number = Math.pow(2, stops / 6), metric = scene.told.metric;
-  const blades = Number(byId("blades").value);
-  // r = A / (2 B) per px of disparity, A = 50 mm / f-number; without metres the default blur stands for f/1.8.
-  state.scale = metric ? 0.05 / number / (2 * metric[2]) : scene.told.radiusPerPx * 1.8 / number;
+  // As the bokeh was made, until somebody turns a slider.
+  const told = scene.told, value = (id, own, of) => turned.has(id) ? of(Number(byId(id).value)) : own;
+  const number = value("stop", told.fNumber, (stops) => Math.pow(2, stops / 6));
+  const blades = value("blades", told.blades || 4, (count) => count);
+  state.scale = told.radiusPerPx * told.fNumber / number;
   byId("stop").setAttribute("aria-valuetext", `f/${number.toFixed(1)}`);
   byId("number").textContent = `f/${number.toFixed(1)}`;
-  state.lights = Math.pow(2, Number(byId("lights").value));
-  byId("lightsWord").textContent = `× ${state.lights}`;
+  state.lights = value("lights", told.lights, (doublings) => Math.pow(2, doublings));
+  byId("lightsWord").textContent = `× ${Number(state.lights.toFixed(1))}`;
   byId("bladesWord").textContent = blades < 5 ? "round" : String(blades);
   state.blades = blades < 5 ? 0 : blades;
   redraw();
@@ -378,7 +391,7 @@ canvas.addEventListener("keydown", (event) => {
 });
 canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { const { index } = scene; scene = null; if (start()) open(index); });
-for (const id of ["stop", "blades", "lights"]) byId(id).addEventListener("input", aperture);
+for (const id of ["stop", "blades", "lights"]) byId(id).addEventListener("input", () => { turned.add(id); aperture(); });
 byId("edges").addEventListener("change", redraw);
 
 function compare() {
