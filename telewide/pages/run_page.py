@@ -89,7 +89,7 @@ def report_row(
 
 
 def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Opening | None:
-    """What the page opens with: the bokeh that was made, as its numbers tell; None where there is none."""
+    """Return what the page opens with: the bokeh that was made, as its numbers tell; None where there is none."""
     if asked is None or not {"focus_px", "focus_x_px", "focus_y_px", "blur_per_px"} <= numbers.keys():
         return None
     x_px, y_px = (round(numbers[f"focus_{axis}_px"]) for axis in "xy")

@@ -51,7 +51,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class Opening:
-    """How the page opens: as the bokeh that was asked for.
+    """Bokeh that the page opens with.
 
     Attributes:
         focus: what is sharp, px of the photo.
@@ -130,7 +130,7 @@ def viewed_capture(
 
 
 def _default_opening(maps: DisparityMap, metric: Metric | None) -> Opening:
-    """What the page opens with where no bokeh was asked for."""
+    """Choose what the page opens with where no bokeh was asked for."""
     focus = find_focus(maps.disparity_px, maps.confidence, focus="auto")
     options = BokehOptions(f_number=None if metric is None else DEFAULT_F_NUMBER)
     baseline_m = None if metric is None else metric.baseline_m
