@@ -96,7 +96,6 @@ def viewed_capture(
     known = np.isfinite(maps.disparity_px)
     low_px, high_px = float(maps.disparity_px[known].min()), float(maps.disparity_px[known].max())
     opens = _default_opening(maps, metric) if opening is None else _made_smaller(opening, wh[0] / photo.shape[1])
-    focus = opens.focus
     result = DepthResult(name=name, disparity=maps)
     pictures = {"tele": small, **{label: _scaled(other, wh=wh) for label, other in others.items()}}
     pictures["disparity"] = disparity_panel(result, wh=wh)
@@ -117,6 +116,15 @@ def viewed_capture(
         "jump": JUMP,
         "mapEnds": [low_px, high_px],
         "mapSteps": STEPS,
+        **_told_of(opens, metric),
+        "capPx": LARGEST_RADIUS_SHARE * min(small.shape[:2]),
+        "metric": None if metric is None else [metric.scale_px_m, metric.doffs_px, metric.baseline_m, FARTHEST_M],
+    }
+
+
+def _told_of(opens: Opening, metric: Metric | None) -> dict[str, object]:
+    focus = opens.focus
+    return {
         "focus": [focus.x_px, focus.y_px],
         "focusPx": focus.disparity_px,
         "sharpPx": list(focus.sharp_px or (focus.disparity_px, focus.disparity_px)),
@@ -124,8 +132,6 @@ def viewed_capture(
         "fNumber": opens.f_number or _like_f_number(opens.blur_per_px, metric),
         "blades": opens.blades or 0,
         "lights": opens.lights,
-        "capPx": LARGEST_RADIUS_SHARE * min(small.shape[:2]),
-        "metric": None if metric is None else [metric.scale_px_m, metric.doffs_px, metric.baseline_m, FARTHEST_M],
     }
 
 
