@@ -99,12 +99,9 @@ def viewed_capture(
     result = DepthResult(name=name, disparity=maps)
     pictures = {"tele": small, **{label: _scaled(other, wh=wh) for label, other in others.items()}}
     pictures["disparity"] = disparity_panel(result, wh=wh)
-    maps_png = {
-        "levels": _png(
-            np.dstack([levels.level, levels.hidden_level, np.round(255 * light_share(small)).astype(np.uint8)])
-        ),
-        "map": _png(_packed(maps, low_px, high_px)),
-    }
+    lights = np.round(255 * light_share(small)).astype(np.uint8)
+    by_level = np.dstack([levels.level, levels.hidden_level, lights])
+    maps_png = {"levels": _png(by_level), "map": _png(_packed(maps, low_px, high_px))}
     return {
         "name": name,
         "wh": list(wh),
