@@ -101,7 +101,7 @@ def test_a_distance_at_which_nothing_is_says_so_and_contradicts_itself_in_nothin
     scene_px: np.ndarray, focus: str
 ) -> None:
     """Behind everything, before everything, and between the person and the wall."""
-    found = find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: 30 / depth_m - 4)
+    found = find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: 30 / depth_m - 8)
     assert not found.is_on_surface
     note = focus_note("000", found, depth_m=1.5, options=BokehOptions(focus=focus))
     assert f"focused {focus[:-1]} m away, where nothing is" in note
