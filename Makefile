@@ -55,10 +55,12 @@ $(MINIMA)/.installed: pyproject.toml constraints.txt .ci/minima
 mutants: $(STAMP)
 	$(BIN)/python tests/mutants/run.py $(BUGS)
 
-# Strangers' files by the thousand, and links and pipes around a run folder: no traceback, no hang, nothing else touched.
+# Strangers' files by the hundred, and links and pipes around a run folder: no traceback, no hang, nothing else touched.
 soak: $(STAMP)
-	TELEWIDE_MUTATIONS=2000 $(BIN)/python -m pytest -o faulthandler_timeout=0 tests/test_fuzz.py tests/test_canary.py
-	$(BIN)/python tests/soak.py
+	OMP_NUM_THREADS=1 $(BIN)/python tests/soak.py strangers kill & \
+	OMP_NUM_THREADS=1 $(BIN)/python tests/soak.py full closed two many large; others=$$?; wait $$! && exit $$others
+	TELEWIDE_MUTATIONS=300 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -o faulthandler_timeout=0 $(PARALLEL) \
+		tests/test_fuzz.py tests/test_canary.py
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -329,6 +329,12 @@ def test_docstrings_begin_with_a_verb_or_a_noun() -> None:
     assert len(findings(module_from_text('"""What it is."""\nX = 1\n"""How far."""\nY = 2\n"""Hows."""\n'))) == 2
 
 
+def test_every_test_file_opens_with_what_it_is_the_oracle_of(repo: Path) -> None:
+    files = (repo / "tests").rglob("test_*.py")
+    silent = [path for path in files if not ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))]
+    assert silent == []
+
+
 def test_signatures_are_typed_without_any() -> None:
     def findings(module: Module) -> list[str]:
         return [

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import cast
 
 import torch
+from pydantic import JsonValue
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
@@ -35,6 +36,7 @@ FORMAT = "1"
 STATE_NAME = "state.pt"
 _MOST_HEADER_BYTES = 1 << 22
 """Of a weights file: names and shapes of the largest network take a twentieth, a recipe a thousandth."""
+_LENGTH_BYTES = 8  # of a safetensors file begin it, and say how long its header is
 
 
 @dataclass
@@ -306,9 +308,19 @@ def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> No
         "training": json_text(card.training),
     }
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    content = save(tensors, metadata=metadata)
+    content = _with_facts_in_order(save(tensors, metadata=metadata))
     with replacing(path) as temporary:
         temporary.write_bytes(content)
+
+
+def _with_facts_in_order(content: bytes) -> bytes:
+    """Sort what a safetensors file says of itself, which comes in any order: equal weights are equal files."""
+    end = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
+    header = checked(parse_json(content[_LENGTH_BYTES:end]), dict[str, dict[str, JsonValue]])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json_text(header).encode()
+    text += b" " * (-len(text) % _LENGTH_BYTES)  # tensors begin at a multiple of it
+    return len(text).to_bytes(_LENGTH_BYTES, "little") + text + content[end:]
 
 
 def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, WeightsCard]:
@@ -339,7 +351,7 @@ def read_card(path: Path) -> WeightsCard:
         InputError: the file is damaged, or holds something else.
     """
     with open_regular(path) as stream:
-        header_bytes = int.from_bytes(stream.read(8), "little")
+        header_bytes = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
     if header_bytes > _MOST_HEADER_BYTES:  # of a file of another kind it means nothing, and is as large
         raise _no_weights(path)
     try:

@@ -1,3 +1,5 @@
+"""The matchers of run folders and weights files: which, in which order, under which names."""
+
 from __future__ import annotations
 
 from pathlib import Path

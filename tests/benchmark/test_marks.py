@@ -1,3 +1,5 @@
+"""Scores by hand-made marks, on drawn maps whose errors are known."""
+
 from __future__ import annotations
 
 import json

@@ -1,3 +1,5 @@
+"""Held-out matches as a judge, against the rendered truth and a shifted one; who saw which capture."""
+
 from __future__ import annotations
 
 import json

@@ -1,3 +1,5 @@
+"""Reports of benchmarks: what their JSON and tables hold, and that timed turns alternate."""
+
 from __future__ import annotations
 
 import json

@@ -1,3 +1,5 @@
+"""Peak memory against arrays of known size; a line of figures for every matcher."""
+
 from __future__ import annotations
 
 import dataclasses

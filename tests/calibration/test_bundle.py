@@ -1,3 +1,5 @@
+"""The bundle adjustment, against scipy's least_squares and corners without noise."""
+
 from __future__ import annotations
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Distortion, against OpenCV; derivatives, against difference quotients."""
+
 from __future__ import annotations
 
 import cv2

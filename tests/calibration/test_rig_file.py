@@ -1,3 +1,5 @@
+"""Rig files: what was written is read, and whatever cannot be a rig is refused in words."""
+
 from __future__ import annotations
 
 from dataclasses import fields, replace

@@ -1,3 +1,5 @@
+"""A rig from matches of scenes, against the known rig that saw them; what such a rig cannot know."""
+
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+"""A rig from corners, against the known rig that saw them, within the stated deviations; planted mistakes."""
+
 from __future__ import annotations
 
 from collections.abc import Sequence

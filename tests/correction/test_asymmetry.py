@@ -1,3 +1,5 @@
+"""Which source of the asymmetric factor is believed, and what is said where two contradict."""
+
 from __future__ import annotations
 
 import numpy as np

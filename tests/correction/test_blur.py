@@ -1,3 +1,5 @@
+"""The blur between two views, against kernels that were put in."""
+
 from __future__ import annotations
 
 import time

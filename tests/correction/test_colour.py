@@ -1,3 +1,5 @@
+"""Colour between two views, against gains, matrices, shading and tone that were put in, and colour-science."""
+
 from __future__ import annotations
 
 import time

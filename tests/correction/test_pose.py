@@ -1,3 +1,5 @@
+"""Where wide stood in a shot, against simulated shots that moved, within the stated deviations."""
+
 from __future__ import annotations
 
 import numpy as np

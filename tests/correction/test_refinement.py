@@ -1,3 +1,5 @@
+"""What moved in a shot, against simulated points of rigs that turned, tilted or refocused."""
+
 from __future__ import annotations
 
 import dataclasses

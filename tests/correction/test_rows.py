@@ -1,3 +1,5 @@
+"""The law of the rows, against laws that were put in, and wrong matches among right ones."""
+
 from __future__ import annotations
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Verdicts on pairs, by one thing put wrong at a time."""
+
 from __future__ import annotations
 
 import dataclasses

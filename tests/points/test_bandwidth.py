@@ -1,3 +1,5 @@
+"""Detail of two views, against pictures shrunk or blurred by a known factor."""
+
 from __future__ import annotations
 
 import numpy as np

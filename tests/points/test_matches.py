@@ -1,3 +1,5 @@
+"""Matches of rectified views, against the rendered disparity and planted outliers."""
+
 from __future__ import annotations
 
 from pathlib import Path

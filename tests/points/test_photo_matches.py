@@ -1,3 +1,5 @@
+"""Matches of photos of two unequal lenses, against the rendered plane they show."""
+
 from __future__ import annotations
 
 from dataclasses import replace

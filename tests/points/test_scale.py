@@ -1,3 +1,5 @@
+"""The factor between two views, against factors and damages that were put in."""
+
 from __future__ import annotations
 
 from pathlib import Path

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from training.small import CPU, WINDOW
 
 from telewide.errors import InputError, TelewideError, UsageError
@@ -151,6 +151,17 @@ def test_weights_come_back_with_their_card(tmp_path: Path, name: str) -> None:
     assert not back.training
     for a, b in zip(network.state_dict().values(), back.state_dict().values(), strict=True):
         assert torch.equal(a, b)
+
+
+def test_equal_weights_are_equal_files(tmp_path: Path) -> None:
+    """Results that are kept go by the bytes of their weights; safetensors alone sorts its facts anew each time."""
+    network, path = build_network("lite", seed=4), tmp_path / "w.safetensors"
+    contents = set()
+    for _ in range(8):
+        save_weights(network, path, card=CARD)
+        contents.add(path.read_bytes())
+    assert len(contents) == 1
+    assert all(torch.equal(tensor, network.state_dict()[name]) for name, tensor in load_file(path).items())
 
 
 def test_damaged_or_foreign_weights_are_refused(tmp_path: Path) -> None:
