@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from telewide.bokeh.things import nearest_thing
 from telewide.depth.edges import nearest_known
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
@@ -31,6 +32,7 @@ SUBJECT_SHARE = 0.12
 SUBJECT_ENDS = 0.02
 """Of the subject, at either end of its depth, that may be blurred: mistakes."""
 _SLAB_STEPS = 8
+_SAMPLED_PX = 1 << 20
 _MIDDLE = 12
 """The middle fades out from the centre as ``exp(-12 r^2)``, r from 0 to 1 at the sides: about their inner half."""
 
@@ -68,7 +70,7 @@ def find_focus(
         confidence: (H, W) float32 in [0, 1].
         focus: "X,Y", a point of the tele photo in px; "2.5m", a distance along the optical axis; "near" or "far", the
             nearest or farthest confident surface; "auto", the nearest surface that fills an eighth of the middle of the
-            photo, or else its largest one, sharp in its whole depth.
+            photo, or else its largest one, unless a large thing stands before it; sharp in its whole depth.
         disparity_at_m: tells the disparity at a distance, px; None where metres are not known.
 
     Returns:
@@ -186,7 +188,14 @@ def _placed(disparity_px: FloatMap, trusted: BoolMap, focus_px: float) -> Focus:
 
 
 def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) -> Focus:
-    """The nearest slab of disparity that holds enough of the middle of the photo, or the fullest, sharp as a whole."""
+    """The nearest slab that holds enough of the middle of the photo, or the fullest, unless a thing stands before it."""
+    whole_px, all_trusted = disparity_px, trusted
+    step = max(round(math.sqrt(disparity_px.size / _SAMPLED_PX)), 1)
+    disparity_px, trusted, confidence = (
+        each[step // 2 :: step, step // 2 :: step] for each in (disparity_px, trusted, confidence)
+    )
+    if not trusted.any():
+        disparity_px, trusted, confidence = whole_px, all_trusted, np.ones(whole_px.shape, np.float32)
     weight = np.where(trusted, np.maximum(confidence, 1e-3), 0)
     height, width = disparity_px.shape
     y, x = np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None]
@@ -201,7 +210,24 @@ def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) 
     farthest_px, middle_px, nearest_px = _weighted_quantiles(
         value_px[in_slab], share[in_slab], quantiles=(SUBJECT_ENDS, 0.5, 1 - SUBJECT_ENDS)
     )
-    return replace(_placed(disparity_px, trusted, middle_px), sharp_px=(farthest_px, nearest_px))
+    thing = nearest_thing(disparity_px, weight, before_px=nearest_px, slab_px=slab_px)
+    if thing is not None:
+        beyond = trusted[thing] & (disparity_px[thing] > nearest_px)
+        farthest_px, middle_px, nearest_px = _of_thing(disparity_px[thing][beyond], slab_px=slab_px)
+        rows, columns = (slice(side.start * step, side.stop * step) for side in thing)
+        there = np.zeros_like(all_trusted)
+        there[rows, columns] = all_trusted[rows, columns]
+        all_trusted = there
+    return replace(_placed(whole_px, all_trusted, middle_px), sharp_px=(farthest_px, nearest_px))
+
+
+def _of_thing(value_px: FloatArray, *, slab_px: float) -> list[float]:
+    """Farthest, middle and nearest disparity of a thing, by the fullest slab of its box."""
+    ordered_px = np.sort(value_px.astype(np.float64))
+    held = np.searchsorted(ordered_px, ordered_px + slab_px, side="right") - np.arange(len(ordered_px))
+    first = int(held.argmax())
+    own_px = ordered_px[first : first + int(held[first])]
+    return _weighted_quantiles(own_px, np.ones(len(own_px)), quantiles=(SUBJECT_ENDS, 0.5, 1 - SUBJECT_ENDS))
 
 
 def _nearest_slab(value_px: FloatArray, share: FloatArray, *, slab_px: float) -> float:
@@ -211,8 +237,9 @@ def _nearest_slab(value_px: FloatArray, share: FloatArray, *, slab_px: float) ->
     held = np.convolve(histogram, np.ones(_SLAB_STEPS))[_SLAB_STEPS - 1 :]  # by slab, named by its farthest step
     large = np.flatnonzero(held >= SUBJECT_SHARE)
     first = int(large[-1]) if len(large) else int(held.argmax())
-    while len(large) and first > 0 and held[first - 1] > held[first]:  # the whole surface, not its near side alone
-        first -= 1
+    nearest = first
+    while len(large) and first > max(nearest - _SLAB_STEPS, 0) and held[first - 1] > held[first]:
+        first -= 1  # the whole surface, not its near side alone; but no other one, at the far end of the ground
     return first * step_px
 
 

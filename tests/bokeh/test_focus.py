@@ -180,6 +180,37 @@ def test_auto_does_not_take_what_is_not_trusted(rng: np.random.Generator) -> Non
     assert confidence[focus.y_px, focus.x_px] == 1
 
 
+def table(*, hw: tuple[int, int] = (160, 240)) -> tuple[np.ndarray, np.ndarray]:
+    """Disparity of a set table seen from above, before a bookshelf at 3.4 to 3.7 m; rows and columns from -1 to 1."""
+    y, x = np.meshgrid(np.linspace(-1, 1, hw[0]), np.linspace(-1, 1, hw[1]), indexing="ij")
+    ground_m = np.where(y > -0.1, 0.36 / np.maximum(0.16 + 0.3 * (y + 0.1), 1e-3), 9.0)
+    shelf_m = np.where(np.sin(25 * x) > 0.3, 3.4, 3.7)
+    return np.where(ground_m < 2.0, ground_m, shelf_m), np.stack([y, x])
+
+
+@pytest.mark.parametrize("foot_m", [0.7, 0.9, 1.2])
+@pytest.mark.parametrize("kind", ["vase", "box", "ball"])
+@pytest.mark.parametrize("centre", [(0.05, 0.0), (0.35, -0.3), (0.4, 0.3)], ids=["central", "left", "right"])
+def test_auto_takes_the_thing_on_the_table_and_no_bookshelf_behind_it(
+    foot_m: float, kind: str, centre: tuple[float, float], rng: np.random.Generator
+) -> None:
+    """It covers most of the central third, or stands beside and below it, as people place things."""
+    depth_m, (y, x) = table()
+    v, u = (y - centre[0]) / 0.55, (x - centre[1]) / 0.32
+    inside = {"vase": np.abs(u) < 0.55 + 0.4 * np.cos(2.2 * v - 1), "box": np.abs(u) < 0.9, "ball": u**2 + v**2 < 1}[
+        kind
+    ]
+    thing = inside & (np.abs(v) < 1)
+    depth_m = np.where(thing, foot_m - 0.05 * np.sqrt(np.maximum(1 - u**2, 0)), depth_m)
+    disparity_px = (18 / depth_m + rng.normal(0, 0.05, depth_m.shape)).astype(np.float32)
+    focus = find_focus(disparity_px, np.ones_like(disparity_px), focus="auto")
+    assert thing[focus.y_px, focus.x_px]
+    assert focus.sharp_px is not None
+    is_sharp = (disparity_px >= focus.sharp_px[0] - 0.3) & (disparity_px <= focus.sharp_px[1] + 0.3)
+    assert is_sharp[thing].mean() > 0.9
+    assert is_sharp[depth_m > 3].mean() == 0
+
+
 def test_auto_finds_the_subject_of_simulated_still_lifes(tmp_path: Path) -> None:
     """Where most of the middle of the photo stands clearly before the wall, the wall is not what is sharp."""
     n_judged = 0
