@@ -24,6 +24,8 @@ SAME_PX = 0.5
 LEAST_COMPANY = 16
 """Of the 25 pixels around one, itself among them: on a straight edge of a surface 15 have its value."""
 OUTLINE_PX = 3
+LEAST_OUTLINE_COMPANY = 5
+"""Of the 3 x 3 pixels around one on an outline, itself among them: the greater part."""
 
 
 def steepened(disparity_px: FloatMap) -> FloatMap:
@@ -58,7 +60,7 @@ def _company(disparity_px: FloatMap) -> FloatMap:
 
 
 def with_smooth_outlines(disparity_px: FloatMap, *, jump_px: float) -> FloatMap:
-    """Take the median of 3 x 3 pixels along edges: single pixels no longer stand out of an outline.
+    """Take the median of 3 x 3 pixels along edges, and once more where a pixel still stands out of its outline.
 
     Args:
         disparity_px: (H, W) float32, px, finite.
@@ -67,7 +69,15 @@ def with_smooth_outlines(disparity_px: FloatMap, *, jump_px: float) -> FloatMap:
     near_px, far_px = _extremes(disparity_px, 3)
     square = np.ones((3, 3), np.uint8)
     at_edge = cv2.dilate((near_px - far_px > jump_px).astype(np.uint8), square) > 0
-    return np.where(at_edge, cv2.medianBlur(disparity_px, OUTLINE_PX), disparity_px).astype(np.float32)
+    smooth_px = np.where(at_edge, cv2.medianBlur(disparity_px, OUTLINE_PX), disparity_px).astype(np.float32)
+    y, x = np.nonzero(at_edge)
+    around_px = cv2.copyMakeBorder(smooth_px, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    company = np.zeros(len(y), np.uint8)
+    for step_y, step_x in itertools.product(range(3), repeat=2):
+        company += np.abs(around_px[y + step_y, x + step_x] - smooth_px[y, x]) <= jump_px
+    y, x = y[company < LEAST_OUTLINE_COMPANY], x[company < LEAST_OUTLINE_COMPANY]
+    smooth_px[y, x] = cv2.medianBlur(smooth_px, OUTLINE_PX)[y, x]
+    return smooth_px
 
 
 def _extremes(disparity_px: FloatMap, size: int) -> tuple[FloatMap, FloatMap]:

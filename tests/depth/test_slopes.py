@@ -45,6 +45,20 @@ def test_single_pixels_do_not_stand_out_of_an_outline_and_no_value_is_new() -> N
     ragged_px = step_px()
     ragged_px[10, 39], ragged_px[30, 40] = 15.0, 3.0
     np.testing.assert_array_equal(with_smooth_outlines(ragged_px, jump_px=1.0), step_px())
+    bar_px = np.full(HW, 3.0, np.float32)
+    bar_px[:, 20:22] = 12.0  # two pixels wide
+    np.testing.assert_array_equal(with_smooth_outlines(bar_px, jump_px=1.0), bar_px)
     away_px = step_px()
     away_px[10, 10] += 0.9  # no edge of depth
     np.testing.assert_array_equal(with_smooth_outlines(away_px, jump_px=1.0), away_px)
+
+
+def test_fewer_pixels_stand_alone_on_a_ragged_outline_than_after_one_median(rng: np.random.Generator) -> None:
+    ragged_px = np.where(np.arange(HW[1]) < 40 + rng.integers(-3, 4, (1000, 1)), 3.0, 15.0).astype(np.float32)
+    smooth_px = with_smooth_outlines(ragged_px, jump_px=1.0)
+    assert set(np.unique(smooth_px)) == {3.0, 15.0}
+
+    def alone(map_px: np.ndarray) -> int:
+        return int((np.abs(cv2.medianBlur(map_px, 3) - map_px) > 1).sum())
+
+    assert alone(smooth_px) < 0.6 * alone(cv2.medianBlur(ragged_px, 3))
