@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 # C0 but for tab and line feed, DEL, C1, line and paragraph separators, marks of direction, halves of a surrogate pair.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 _LONGEST_WORD = 100
+MOST_LINES = 20
+"""Without a terminal, a line for each of so many captures or photos, or for every second, third, ... of more."""
 _OPTION = re.compile(r"`([a-z][a-z0-9]*(?:_[a-z0-9]+)*)`")
 
 
@@ -23,6 +25,17 @@ def counted(number: int, noun: str) -> str:
         noun: of one of them; its plural is made with an s.
     """
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def is_worth_a_line(done: int, total: int) -> bool:
+    """Whether a person without a terminal is told that so many of so many are done.
+
+    Args:
+        done: how many are.
+        total: of how many; 0 where nobody knows.
+    """
+    every = math.ceil(total / MOST_LINES)
+    return every > 0 and (done % every == 0 or done == total)
 
 
 def first_few(words: Sequence[str], *, most: int = 12) -> str:

@@ -9,7 +9,7 @@ closed: folders that cannot be written to. two: two commands into one run folder
 many: a thousand captures, links to a few. large: pairs of 12, 50 and 200 megapixels.
 
 Each call is a process of its own, forked after the imports: these take longer than most of the calls.
-TELEWIDE_KILLS (20), TELEWIDE_CAPTURES (10,100,1000) and TELEWIDE_MEGAPIXELS (12,50,200) say how much.
+TELEWIDE_KILLS (20), TELEWIDE_CAPTURES (100,1000) and TELEWIDE_MEGAPIXELS (12,50,200) say how much.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from telewide.simulate.captures import write_captures
 from telewide.simulate.phone import write_phone
 
 SEED, N_KILLS = 7, int(os.environ.get("TELEWIDE_KILLS", "20"))
-MANY = [int(count) for count in os.environ.get("TELEWIDE_CAPTURES", "10,100,1000").split(",")]
+MANY = [int(count) for count in os.environ.get("TELEWIDE_CAPTURES", "100,1000").split(",")]
 SIDES = {12: (4000, 3000), 50: (8192, 6144), 200: (16384, 12288)}
 LARGE = [int(megapixels) for megapixels in os.environ.get("TELEWIDE_MEGAPIXELS", "12,50,200").split(",")]
 TINY = (

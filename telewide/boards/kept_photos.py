@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from telewide.capture.images import read_image
+from telewide.errors import within_memory
 from telewide.geometry.arrays import ByteImage, FloatImage
 
 MAX_BYTES = 512 << 20
@@ -56,16 +57,17 @@ class KeptPhotos:
 
         Raises:
             UsageError: there is no such file.
-            InputError: it cannot be read.
+            InputError: it cannot be read, or takes more memory than there is.
             MissingPartError: it needs a reader that is not installed.
         """
         if path in self._greys:
             return self._greys[path]
-        photo = read_image(path)
-        grey = grey_of(photo)
-        if self.kept_bytes + 4 * grey.nbytes <= self._max_bytes:
-            self._greys[path] = grey
-            self._colours[path] = np.asarray(photo * np.float32(255) + np.float32(0.5), dtype=np.uint8)
+        with within_memory(str(path)):
+            photo = read_image(path)
+            grey = grey_of(photo)
+            if self.kept_bytes + 4 * grey.nbytes <= self._max_bytes:
+                colour = np.asarray(photo * np.float32(255) + np.float32(0.5), dtype=np.uint8)
+                self._greys[path], self._colours[path] = grey, colour
         return grey
 
     def read_colour(self, path: Path) -> FloatImage:

@@ -188,7 +188,7 @@ def _placed(disparity_px: FloatMap, trusted: BoolMap, focus_px: float) -> Focus:
 
 
 def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) -> Focus:
-    """The nearest slab that holds enough of the middle of the photo, or the fullest, unless a thing stands before it."""
+    """Nearest slab that holds enough of the middle of the photo, or the fullest, unless a thing stands before it."""
     whole_px, all_trusted = disparity_px, trusted
     step = max(round(math.sqrt(disparity_px.size / _SAMPLED_PX)), 1)
     disparity_px, trusted, confidence = (

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from telewide.errors import QualityError
-from telewide.text import Invocation, json_text, printable, with_options
+from telewide.text import MOST_LINES, Invocation, is_worth_a_line, json_text, printable, with_options
 from telewide.training.processes import this_process
 
 if TYPE_CHECKING:
@@ -20,21 +20,29 @@ if TYPE_CHECKING:
     from telewide.cli.progress import ConsoleObserver
 
 
-@dataclass(frozen=True)
+@dataclass
 class Bar:
-    """A bar that shows how far some work is, or nothing; see :func:`bar`."""
+    """A bar that shows how far some work is, lines that say it, or nothing; see :func:`bar`."""
 
     _shown: tuple[Progress, TaskID] | None = None
+    _label: str = ""
+    _total: int = 0
+    _done: int = 0
 
     def advance(self) -> None:
         """One more is done."""
+        self._done += 1
         if self._shown is not None:
             self._shown[0].advance(self._shown[1])
+        elif self._label and is_worth_a_line(self._done, self._total):
+            say(f"{self._label} {self._done}/{self._total}")
 
     def reach(self, done: int, total: int) -> None:
-        """So many of so many are done."""
+        """So many of so many are done; of a few, which take an instant, no line is said."""
         if self._shown is not None:
             self._shown[0].update(self._shown[1], completed=done, total=total)
+        elif self._label and total > MOST_LINES and is_worth_a_line(done, total):
+            say(f"{self._label} {done}/{total}")
 
 
 def typed(context: typer.Context) -> Invocation:
@@ -83,7 +91,7 @@ def console_observer(
 
 @contextmanager
 def bar(label: str, *, total: int | None = None, is_quiet: bool = False) -> Iterator[Bar]:
-    """Show a bar on a terminal, nothing elsewhere.
+    """Show a bar on a terminal; elsewhere print a line now and then.
 
     Args:
         label: what is done.
@@ -99,10 +107,10 @@ def bar(label: str, *, total: int | None = None, is_quiet: bool = False) -> Iter
 
     console = TerminalConsole(stderr=True)
     if is_quiet or not console.is_terminal:  # a bar of rich that is switched off leaves an empty line all the same
-        yield Bar()
+        yield Bar(_label="" if is_quiet else label, _total=total or 0)
         return
     with Progress(console=console, transient=True) as progress:
-        yield Bar((progress, progress.add_task(label, total=total)))
+        yield Bar((progress, progress.add_task(label, total=total)), _total=total or 0)
 
 
 def hand_over(answer: dict[str, object], *, failure: QualityError | None, as_json: bool) -> None:

@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from telewide.text import Invocation, counted
+from telewide.text import Invocation, counted, is_worth_a_line
 
 if TYPE_CHECKING:
     from telewide.capture.pair import CaptureSet, Problem
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 _LINE_EVERY_S = 15.0
 """Where there is no terminal, a training says so often how far it is."""
-_MOST_LINES = 20
-"""Likewise of captures and shots: a line for each of so many, or for every second, third, ... of more."""
 _LOSS_MEMORY = 0.97
 _RECENT_STEPS = 31
 """The median of so many steps is the pace: neither an hour of sleep nor a busy minute long ago counts."""
@@ -205,8 +203,7 @@ class ConsoleObserver:
         if self._progress is not None and self._task is not None:
             self._progress.update(self._task, advance=1, note=note)
         self._done += 1
-        every = math.ceil(self._total / _MOST_LINES)
-        if every and (self._done % every == 0 or self._done == self._total):
+        if is_worth_a_line(self._done, self._total):
             self.said(f"{self._label} {self._done}/{self._total}{name and f': {name}'}")
 
 

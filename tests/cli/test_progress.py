@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from telewide.capture.pair import Capture, CaptureFacts, Problem
+from telewide.cli.console import bar
 from telewide.cli.progress import ConsoleObserver, captures_table
 from telewide.correction.verdict import PairReport, Verdict
 from telewide.points.held_out import HeldOut
@@ -86,6 +87,21 @@ def test_without_a_terminal_lines_say_how_far_it_is(total: int, every: int) -> N
     *lines, failed, last = console.file.getvalue().splitlines()
     assert lines == [f"depth (sgm) {number}/{total}: {number:03d}" for number in range(every, total, every)]
     assert (failed, last) == ("skipped: bad: why", f"depth (sgm) {total}/{total}: bad")
+
+
+def test_photos_of_a_roll_are_counted_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with bar("looking at photos") as shown:
+        for done in range(1, 41):
+            shown.reach(done, 40)
+    with bar("looking at photos") as shown:
+        shown.reach(3, 3)
+    with bar("rendering", total=3) as shown:
+        for _ in range(3):
+            shown.advance()
+    with bar("rendering", total=3, is_quiet=True) as shown:
+        shown.advance()
+    expected = [f"looking at photos {done}/40" for done in range(2, 41, 2)]
+    assert capsys.readouterr().err.splitlines() == [*expected, *(f"rendering {done}/3" for done in (1, 2, 3))]
 
 
 def test_a_terminal_has_its_bar_and_no_such_lines() -> None:
