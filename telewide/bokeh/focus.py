@@ -191,9 +191,8 @@ def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) 
     """Nearest slab that holds enough of the middle of the photo, or the fullest, unless a thing stands before it."""
     whole_px, all_trusted = disparity_px, trusted
     step = max(round(math.sqrt(disparity_px.size / _SAMPLED_PX)), 1)
-    disparity_px, trusted, confidence = (
-        each[step // 2 :: step, step // 2 :: step] for each in (disparity_px, trusted, confidence)
-    )
+    sampled = (slice(step // 2, None, step), slice(step // 2, None, step))
+    disparity_px, trusted, confidence = disparity_px[sampled], trusted[sampled], confidence[sampled]
     if not trusted.any():
         disparity_px, trusted, confidence = whole_px, all_trusted, np.ones(whole_px.shape, np.float32)
     weight = np.where(trusted, np.maximum(confidence, 1e-3), 0)
@@ -213,7 +212,7 @@ def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) 
     thing = nearest_thing(disparity_px, weight, before_px=nearest_px, slab_px=slab_px)
     if thing is not None:
         beyond = trusted[thing] & (disparity_px[thing] > nearest_px)
-        farthest_px, middle_px, nearest_px = _of_thing(disparity_px[thing][beyond], slab_px=slab_px)
+        farthest_px, middle_px, nearest_px = _of_thing(disparity_px[thing][beyond].astype(np.float64), slab_px=slab_px)
         rows, columns = (slice(side.start * step, side.stop * step) for side in thing)
         there = np.zeros_like(all_trusted)
         there[rows, columns] = all_trusted[rows, columns]
@@ -223,7 +222,7 @@ def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) 
 
 def _of_thing(value_px: FloatArray, *, slab_px: float) -> list[float]:
     """Farthest, middle and nearest disparity of a thing, by the fullest slab of its box."""
-    ordered_px = np.sort(value_px.astype(np.float64))
+    ordered_px = np.sort(value_px)
     held = np.searchsorted(ordered_px, ordered_px + slab_px, side="right") - np.arange(len(ordered_px))
     first = int(held.argmax())
     own_px = ordered_px[first : first + int(held[first])]
