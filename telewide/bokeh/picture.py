@@ -28,7 +28,7 @@ from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap, resize_disparity
 
-PictureKind = Literal["jpg", "tif"]
+PictureKind = Literal["jpg", "tif", "exr"]
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
 PREVIEW_SHRINKS = 4
@@ -49,7 +49,7 @@ class BokehOptions:
         equiv_focal_mm: focal length of that lens on 35 mm film.
         aperture: shape of its opening.
         highlights: how many times as bright as white small clipped lights are taken to have been.
-        kinds: of the files it is written to: "jpg", "tif" with 16 bits.
+        kinds: of the files it is written to: "jpg", "tif" with 16 bits, "exr" in linear light, of a RAW photo.
         is_stripped: whether the files are to say nothing of the photo but its colour profile.
         is_preview: whether a small picture is enough, `PREVIEW_SHRINKS` times fewer pixels along each side.
     """

@@ -1,4 +1,4 @@
-"""Write pictures to keep: JPEG with whole colours, 16-bit TIFF; with what the photo said of itself.
+"""Write pictures to keep: JPEG with whole colours, 16-bit TIFF, linear EXR; with what the photo said of itself.
 
 Letters: H W image.
 """
@@ -17,6 +17,7 @@ from telewide.capture.carried import CarriedFacts
 from telewide.errors import UsageError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
+from telewide.srgb import linear_from_srgb
 
 QUALITY = 95
 _XMP, _BYTE, _ASCII = 700, 1, 2
@@ -44,16 +45,21 @@ def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None
     """Write an upright picture, whole or not at all.
 
     Args:
-        path: ends in .jpg (8 bits, no colour subsampled) or .tif (16 bits, deflated).
-        image: (H, W, 3) RGB in [0, 1], encoded as the photo's profile says; values outside are clipped.
+        path: ends in .jpg (8 bits, no colour subsampled), .tif (16 bits, deflated) or .exr (linear light, half floats).
+        image: (H, W, 3) RGB in [0, 1], encoded as the photo's profile says, for EXR as sRGB; values outside are
+            clipped, in EXR those below 0 alone.
         facts: what it says of itself.
 
     Raises:
         UsageError: another suffix, or the place cannot be written.
     """
+    if path.suffix == ".exr":
+        with replacing(path) as temporary:
+            _write_exr(temporary, image, facts)
+        return
     writers = {".jpg": _jpeg, ".tif": _tiff}
     if path.suffix not in writers:
-        raise UsageError(f"{path}: a picture is written as {' or '.join(writers)}")
+        raise UsageError(f"{path}: a picture is written as {', '.join(writers)} or .exr")
     encoded = writers[path.suffix](np.clip(np.nan_to_num(image, nan=0.0), 0, 1), facts)
     with replacing(path) as temporary:
         temporary.write_bytes(encoded)
@@ -72,6 +78,17 @@ def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
     levels = Image.fromarray((image * 255 + 0.5).astype(np.uint8))
     levels.save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
     return stream.getvalue()
+
+
+def _write_exr(path: Path, image: FloatImage, facts: PictureFacts) -> None:
+    """Write linear light of Rec. 709 primaries, which are sRGB's and those of an EXR that states none."""
+    import OpenEXR
+
+    linear = linear_from_srgb(np.maximum(np.nan_to_num(image, nan=0.0), 0)).astype(np.float16)
+    header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if not facts.is_stripped:
+        header |= {"software": facts.software, "comments": facts.done}
+    OpenEXR.File(header, {"RGB": linear}).write(str(path))
 
 
 def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:

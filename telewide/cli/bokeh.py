@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
-from telewide.errors import UsageError
+from telewide.errors import MissingPartError, UsageError, extra_hint
 
 if TYPE_CHECKING:
     from telewide.bokeh.aperture import Aperture
@@ -40,7 +41,10 @@ HighlightsOption = Annotated[
 ]
 
 PictureOption = Annotated[
-    str | None, typer.Option(metavar="KIND,...", help="Files of the bokeh: jpg, tif (16 bits). [default: jpg]")
+    str | None,
+    typer.Option(
+        metavar="KIND,...", help="Files of the bokeh: jpg, tif (16 bits), exr (linear, of RAW). [default: jpg]"
+    ),
 ]
 StripOption = Annotated[
     bool, typer.Option("--strip", help="Leave EXIF, GPS, date and XMP of the photo out of the bokeh.")
@@ -144,7 +148,9 @@ def _kinds(text: str) -> tuple[PictureKind, ...]:
     known = get_args(PictureKind)
     named = {word.strip().lower() for word in text.split(",")}
     if not named <= set(known):
-        raise UsageError(f"--picture {text}: {' or '.join(known)} was expected, or both with a comma between")
+        raise UsageError(f"--picture {text}: {', '.join(known)} were expected, several with commas between")
+    if "exr" in named and find_spec("OpenEXR") is None:
+        raise MissingPartError("--picture exr needs OpenEXR, which is not installed", hint=extra_hint("exr"))
     return tuple(kind for kind in known if kind in named)
 
 

@@ -28,7 +28,7 @@ from telewide.capture.pictures import PictureFacts
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.geometry.arrays import FloatMap
-from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, PREVIEW_BOKEH_NAME
+from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, EXR_BOKEH_NAME, PREVIEW_BOKEH_NAME
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def bokeh_of_capture(
     if refusal is not None:
         return CaptureBokeh(None, (no_bokeh_note(result.name, refusal),), {})
     carried, maps, baseline_m = read_carried(source.tele_path), result.disparity, result.baseline_m
-    subject_uv = _upright_place(read_photo_facts(source.tele_path).subject_uv, turned_deg=turned_deg)
+    of_photo = read_photo_facts(source.tele_path)
+    subject_uv = _upright_place(of_photo.subject_uv, turned_deg=turned_deg)
     focus = find_focus(
         maps.disparity_px,
         maps.confidence,
@@ -101,8 +102,10 @@ def bokeh_of_capture(
     held_back = held_back_note(result.name, maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     done = note.removeprefix(f"{result.name}: ")
     facts = PictureFacts(software=software(), done=done, of_photo=carried, is_stripped=options.is_stripped)
-    files = BokehFiles(pixels, facts, bokeh_names(options))
-    return CaptureBokeh(files, (note,) if held_back is None else (note, held_back), numbers)
+    names = tuple(name for name in bokeh_names(options) if name != EXR_BOKEH_NAME or of_photo.kind == "raw")
+    files = BokehFiles(pixels, facts, names) if names else None
+    no_exr = no_exr_note(result.name) if len(names) < len(bokeh_names(options)) else None
+    return CaptureBokeh(files, tuple(told for told in (note, held_back, no_exr) if told is not None), numbers)
 
 
 def _in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, turned_deg: int) -> FloatMap:
@@ -122,6 +125,11 @@ def _upright_place(place_uv: tuple[float, float] | None, *, turned_deg: int) -> 
 def no_bokeh_note(name: str, why: str) -> str:
     """Say why a capture has no bokeh picture."""
     return f"{name}: {BOKEH_NAME} left out: {why}"
+
+
+def no_exr_note(name: str) -> str:
+    """Say why a capture has no bokeh in linear light."""
+    return f"{name}: {EXR_BOKEH_NAME} left out: the tele photo is no RAW, so how bright things were is not known"
 
 
 def bokeh_names(options: BokehOptions | None) -> tuple[str, ...]:

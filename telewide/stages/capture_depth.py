@@ -34,7 +34,14 @@ from telewide.matching.matcher import Match
 from telewide.matching.window import Window, within_width
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
-from telewide.stages.capture_bokeh import CaptureBokeh, bokeh_names, bokeh_of_capture, no_bokeh_note, software
+from telewide.stages.capture_bokeh import (
+    CaptureBokeh,
+    bokeh_names,
+    bokeh_of_capture,
+    no_bokeh_note,
+    no_exr_note,
+    software,
+)
 from telewide.stages.kept_depth import (
     BOKEH_NAMES,
     DEPTH_NAMES,
@@ -78,7 +85,7 @@ class DepthOutcome:
     @property
     def shortcomings(self) -> tuple[str, ...]:
         """The notes that tell of less than was asked for, or that near and far may be exchanged."""
-        telling = (no_bokeh_note(self.name, ""), f"{self.name}: {HELD_BACK}")
+        telling = (no_bokeh_note(self.name, ""), no_exr_note(self.name), f"{self.name}: {HELD_BACK}")
         return tuple(
             note
             for note in self.notes

@@ -21,7 +21,8 @@ from telewide.text import shortened
 FORMAT = 6
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
-BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif", "bokeh.exr")
+EXR_BOKEH_NAME = "bokeh.exr"
+BOKEH_NAMES = (BOKEH_NAME, "bokeh.tif", EXR_BOKEH_NAME)
 PREVIEW_BOKEH_NAME = "bokeh_preview.jpg"
 DEPTH_NAMES = file_names(FORMATS)
 FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES, PREVIEW_BOKEH_NAME)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+from capture.dng import write_dng
 from capture.profiles import DISPLAY_P3, matrix_profile
 from PIL import Image, ImageOps
 from rig_worlds import phone_rig
@@ -31,6 +32,7 @@ from telewide.geometry.rectification import rectified_geometry
 from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
+from telewide.srgb import linear_from_srgb
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
 from telewide.stages.photo_depth import ShotGeometry, on_photo
 
@@ -612,3 +614,25 @@ def test_a_preview_stands_beside_the_picture_until_that_is_made_again(capture: C
     made_again(capture, folder, match, bokeh=BokehOptions(focus="near"))
     assert (folder / "bokeh.jpg").read_bytes() != whole
     assert not (folder / "bokeh_preview.jpg").exists()
+
+
+def test_bokeh_of_a_raw_photo_in_linear_light_is_that_of_its_picture(
+    capture: Capture, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Read back with the library of the format's makers; of a JPEG or PNG there is none, and that is told."""
+    OpenEXR = pytest.importorskip("OpenEXR", reason="the extra exr is not installed")
+    raw = write_dng(capture.tele_path.with_suffix(".dng"), rng.uniform(0.1, 0.8, HW).astype(np.float32))
+    bokeh = BokehOptions(focus="near", strength_px=3.0, kinds=("tif", "exr"))
+    outcome = made(dataclasses.replace(capture, tele_path=raw), tmp_path / "raw", bokeh=bokeh)
+    assert {"bokeh.tif", "bokeh.exr"} <= {path.name for path in outcome.paths}
+    with OpenEXR.File(str(tmp_path / "raw" / "bokeh.exr")) as file:
+        linear = file.channels()["RGB"].pixels.astype(np.float32)
+        assert file.header()["software"].startswith("telewide")
+    shown = tifffile.imread(tmp_path / "raw" / "bokeh.tif") / np.float32(65535)
+    np.testing.assert_allclose(linear, linear_from_srgb(shown), rtol=2e-3, atol=1e-4)
+    in_focus = np.s_[5:-5, HW[1] // 2 + 8 : -5]
+    np.testing.assert_allclose(linear[in_focus], linear_from_srgb(read_image(raw))[in_focus], rtol=2e-3, atol=1e-4)
+    of_png = made(capture, tmp_path / "png", bokeh=bokeh)
+    assert "bokeh.exr" not in {path.name for path in of_png.paths}
+    (told,) = of_png.shortcomings
+    assert "bokeh.exr left out" in told
