@@ -80,15 +80,15 @@ def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
     return stream.getvalue()
 
 
-def _write_exr(path: Path, image: FloatImage, facts: PictureFacts) -> None:
+def _write_exr(path: Path, image_srgb: FloatImage, facts: PictureFacts) -> None:
     """Write linear light of Rec. 709 primaries, which are sRGB's and those of an EXR that states none."""
     import OpenEXR
 
-    linear = linear_from_srgb(np.maximum(np.nan_to_num(image, nan=0.0), 0)).astype(np.float16)
+    light = linear_from_srgb(np.maximum(np.nan_to_num(image_srgb, nan=0.0), 0)).astype(np.float16)
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     if not facts.is_stripped:
         header |= {"software": facts.software, "comments": facts.done}
-    OpenEXR.File(header, {"RGB": linear}).write(str(path))
+    OpenEXR.File(header, {"RGB": light}).write(str(path))
 
 
 def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
