@@ -59,7 +59,7 @@ def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None
         return
     writers = {".jpg": _jpeg, ".tif": _tiff}
     if path.suffix not in writers:
-        raise UsageError(f"{path}: a picture is written as {', '.join(writers)} or .exr")
+        raise UsageError(f"{path}: a picture is written as {' or '.join((*writers, '.exr'))}")
     encoded = writers[path.suffix](np.clip(np.nan_to_num(image, nan=0.0), 0, 1), facts)
     with replacing(path) as temporary:
         temporary.write_bytes(encoded)
