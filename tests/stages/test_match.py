@@ -19,21 +19,21 @@ from telewide.training.checkpoint import WeightsCard, save_weights
 
 
 @pytest.mark.parametrize(
-    ("method", "name", "is_stated"), [("network", "lite", False), ("network", "guided", True), ("sgm", "lite", True)]
+    ("method", "weights", "is_stated"), [("network", "lite", False), ("network", "box", True), ("sgm", None, True)]
 )
 def test_a_deviation_is_stated_only_where_the_confidence_was_held_against_errors(
-    method: Method, name: str, tmp_path: Path, *, is_stated: bool
+    method: Method, weights: str | None, tmp_path: Path, *, is_stated: bool
 ) -> None:
     rig = phone_rig(width_px=320)
     quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
     tele, wide = (photo[..., None].repeat(3, axis=2) for photo in photos_of_a_plane(rig, np.random.default_rng(7)))
     recipe = load_recipe("quick", settings=["window_px=[0, 32]"])
-    card = WeightsCard(name, (0, 32), recipe.model_dump(mode="json"), {})
-    save_weights(build_network(name), tmp_path / "w.safetensors", card=card)
+    card = WeightsCard("lite", (0, 32), recipe.model_dump(mode="json"), {})
+    save_weights(build_network("lite"), tmp_path / "w.safetensors", card=card)
     depth = telewide.estimate_depth(
         PhotoPair("plane", tele, wide),
         rig=StoredRig(rig, None, None, None, quality, RigFacts()),
-        weights=None if method == "sgm" else tmp_path / "w.safetensors",
+        weights=tmp_path / "w.safetensors" if weights == "lite" else None,
         method=method,
         device="cpu",
         recipe=recipe,

@@ -19,7 +19,7 @@ from telewide.simulate.raycast.palette import Palette
 from telewide.simulate.raycast.turns import any_turn, rotation, turn_with_z, unit, upright
 from telewide.simulate.raycast.world import Light, Material, Solid, World
 
-PLAIN_SHARE = 0.22
+PLAIN_SHARE = 0.45
 """Share of the materials with hardly any texture: with more of them the first steps of a training teach little."""
 SAME_AS_BEHIND = 0.12
 """Share of the solids that wear the background's paint."""
@@ -86,7 +86,7 @@ def draw_world(
     draft, background = _background(draft)
     solids = [*background]
     solids += [_single(draft) for _ in range(int(rng.integers(4, 26)))]
-    for _ in range(int(rng.choice([0, 0, 1, 1, 2]))):
+    for _ in range(int(rng.choice([0, 1, 1, 2]))):
         solids += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
     light = Light(unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth_m=1.0), gloss=0.0, macro_contrast=0.3)
@@ -135,7 +135,7 @@ def _material(draft: _Draft, *, depth_m: float) -> Material:
     rng = draft.rng
     texel_px = draft.detail * math.exp(rng.normal(0, 0.45))
     is_plain = rng.random() < PLAIN_SHARE
-    contrast = rng.uniform(0.0, 0.25) if is_plain else min(1.3, math.exp(rng.normal(-0.1, 0.35)))
+    contrast = 0.25 * rng.random() ** 2 if is_plain else min(1.3, math.exp(rng.normal(-0.1, 0.35)))
     tint = np.exp(rng.normal(0, 0.35) + rng.normal(0, 0.08, 3))
     return Material(
         texture=int(rng.integers(draft.palette.n_textures)),
@@ -307,10 +307,17 @@ def _cone(draft: _Draft) -> Solid:
     return replace(cone, turn=up)
 
 
+_LOG_ROD_RADII = (math.log(0.5), math.log(12.0))
+"""Rods and legs are 1 to 24 px wide."""
+
+
 def _rod(draft: _Draft) -> Solid:
-    """A tapered rod one to ten pixels wide, long, in any direction but mostly across the view."""
+    """A tapered rod, long, in any direction but mostly across the view.
+
+    Along the baseline its ends and what it is fixed to are all that tells its disparity.
+    """
     rng = draft.rng
-    radius_px = math.exp(rng.uniform(math.log(0.5), math.log(5.0)))
+    radius_px = math.exp(rng.uniform(*_LOG_ROD_RADII))
     length_px = rng.uniform(0.1, 0.9) * draft.hw[1]
     centre, per_px = _place(draft, radius_px=radius_px)
     way = unit(rng.normal(0, 1, 3) * [1.0, 1.0, 0.35])
@@ -367,12 +374,13 @@ def _row(draft: _Draft) -> list[Solid]:
 
 
 def _chair(draft: _Draft) -> list[Solid]:
-    """A seat on four legs with a back of rails."""
+    """A seat on four legs with a back of rails; half of them lie, as in photos of a phone that was held upright."""
     rng = draft.rng
     side_px = rng.uniform(20, 0.3 * draft.hw[1])
     centre, per_px = _place(draft, radius_px=side_px)
-    side, leg = side_px * per_px, rng.uniform(0.6, 3.5) * per_px
-    turn, material = upright(rng), _worn(draft, depth_m=centre[2])
+    side, leg = side_px * per_px, math.exp(rng.uniform(*_LOG_ROD_RADII)) * per_px
+    lying = rotation(np.array([0.0, 0.0, 1.0]), float(rng.choice([-0.5, 0.0, 0.0, 0.5])) * math.pi)
+    turn, material = lying @ upright(rng), _worn(draft, depth_m=centre[2])
     down = rng.uniform(0.6, 1.4) * side
 
     def part(kind: Kind, at: tuple[float, float, float], half: tuple[float, float, float]) -> Solid:
