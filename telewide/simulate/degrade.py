@@ -107,49 +107,6 @@ def degrade_small(image: FloatImage, degradation: Degradation, *, rng: np.random
     return _tint(small, degradation)
 
 
-def random_degradation(
-    rng: np.random.Generator,
-    *,
-    factor: tuple[float, float] = (1.0, 6.0),
-    strength: float = 1.0,
-    plain_share: float = 0.3,
-) -> Degradation:
-    """Draw a damage such as remains between the two cameras of a phone after correction.
-
-    Args:
-        rng: source of the draw.
-        factor: least and largest factor; drawn evenly on a logarithmic scale.
-        strength: scales everything but the factor: blur, noise, compression, tint, vertical rest.
-        plain_share: share of draws that only shrink.
-
-    Returns:
-        The damage.
-    """
-    drawn = float(np.exp(rng.uniform(math.log(factor[0]), math.log(factor[1]))))
-    if rng.random() < 0.3 and math.floor(drawn) >= factor[0]:
-        drawn = float(math.floor(drawn))
-    if strength <= 0 or rng.random() < plain_share:
-        return Degradation(factor=drawn)
-    major = float(rng.uniform(0.0, 1.6)) * strength
-    tint = np.eye(3) + rng.normal(0.0, 0.02 * strength, (3, 3))
-    tint /= tint.sum(axis=1, keepdims=True)
-    brightness = rng.normal(0.0, 0.06 * strength)
-    gain = np.exp(brightness + rng.normal(0.0, 0.05 * strength, 3))
-    compressed = rng.random() < 0.6
-    return Degradation(
-        factor=drawn,
-        blur_sigma_px=(major, major * float(rng.uniform(0.4, 1.0))),
-        blur_angle_rad=float(rng.uniform(0.0, math.pi)),
-        jpeg_quality=int(rng.integers(60, 97)) if compressed else None,
-        noise_std=float(rng.uniform(0.0, 0.02)) * strength,
-        gain=(float(gain[0]), float(gain[1]), float(gain[2])),
-        gamma=float(np.exp(rng.normal(0.0, 0.06 * strength))),
-        colour_matrix=tuple((float(row[0]), float(row[1]), float(row[2])) for row in tint),
-        vertical_offset_px=float(rng.normal(0.0, 0.3)) * strength,
-        vertical_slope=float(rng.normal(0.0, 0.0008)) * strength,
-    )
-
-
 def shrink_and_enlarge(image: FloatImage, *, factor: float) -> FloatImage:
     """Remove the detail that a camera with ``factor`` times fewer pixels cannot see.
 
