@@ -32,8 +32,8 @@ class Recipe(Options):
 
     description: str = ""
     """One line for people."""
-    network: str = "lite"
-    """Name of the network."""
+    network: str = "guided"
+    """Name of the network; the default one is that in the box, which `train.start: box` begins with."""
     seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     """Of weights and samples."""
     working_width_px: Annotated[int, Field(ge=128, le=MAX_DISPARITY_PX)] = 1536

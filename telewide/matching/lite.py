@@ -1,4 +1,4 @@
-"""`lite`: the default network, made for two cores and for phones' photos.
+"""`lite`: a network made for two cores and for phones' photos.
 
     image ─ features (1/4, guide at 1/2) ─┬─ unit-length group correlation ─┐
                                           └─ thin concatenation ────────────┴─ hourglass ─ mode expectation (1/4)

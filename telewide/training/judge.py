@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -18,7 +18,9 @@ from telewide.training.objective import Batch
 from telewide.training.options import StageOptions
 from telewide.training.stages import Stage
 
-Judge = Callable[[StereoNetwork], dict[str, float]]
+Judge = Callable[[StereoNetwork], Mapping[str, float]]
+"""Answers with figures by their names; :mod:`telewide.training.loop` says which one decides."""
+
 JUDGE_SEED = 1_000_003
 """Added to a training's seed: rehearsals that no step of it has seen."""
 

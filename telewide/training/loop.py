@@ -1,6 +1,7 @@
-"""The training loop: the only one. A stage says what a step does; the loop takes steps, judges, saves and goes on.
+"""The training loop of stereo networks: a stage says what a step does; the loop takes steps, judges, saves and goes on.
 
-Cut off anywhere, it continues from the last checkpoint with the losses it would have had.
+Cut off anywhere, it continues from the last checkpoint with the losses it would have had. Restorers have a short loop
+of their own, in :mod:`telewide.restoration.training`.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from telewide.training.checkpoint import (
     save_weights,
 )
 from telewide.training.data import Source, iterate_batches, step_batches
+from telewide.training.judge import Judge
 from telewide.training.objective import Batch, objective
 from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
@@ -53,8 +55,6 @@ LEAST_GAIN_PX = 0.002
 
 DECISIVE = "clipped_px"
 """The figure of a judgement that decides: shares of wrong matches stand still where the matches' own errors begin."""
-
-Judge = Callable[[StereoNetwork], Mapping[str, float]]
 
 
 @dataclass(frozen=True)

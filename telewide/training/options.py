@@ -34,7 +34,7 @@ class StageOptions(Options):
     learning_rate: Positive = 1e-3
     """Of Adam; warmed up over the first steps, falling to a tenth over the last quarter of the ceiling."""
     rehearsed: Count = 0
-    """Crops a step that are rendered from the user's photos, with exact disparity."""
+    """Crops a step of cast worlds, painted with the user's photos where there are any, with exact disparity."""
     captured: Count = 0
     """Crops a step of the real captures."""
     captured_loss: CapturedLoss = "photometric"

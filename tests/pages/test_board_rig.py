@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pages.made_calibration import CHECKS, DROPPED_REASON, made_calibration
 
+from telewide.calibration.checks import Evidence, quality_of
 from telewide.calibration.quality import Check
 from telewide.calibration.result import Calibration
 from telewide.pages.board_rig import board_rig_page
@@ -62,6 +63,17 @@ def page_of(path: Path, calibration: Calibration, *, has_pair: bool = True) -> O
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Outline:
     return page_of(tmp_path_factory.mktemp("page") / "rig_report.html", made_calibration())
+
+
+def test_every_section_finds_the_checks_that_judge_it() -> None:
+    """By words in the names of the checks that a calibration makes: none of them may change alone."""
+    made = made_calibration()
+    stds = (made.tele_std, made.wide_std)
+    evidence = Evidence(made.views, made.rig, made.half_rigs, np.full(50, 0.2), stds, made.transform_std, 1.0)
+    names = [check.name for check in quality_of(evidence).checks]
+    judged_by = [word for section in board_rig_page(made, facts={}).sections for word in section.judged_by]
+    assert judged_by
+    assert [word for word in judged_by if not any(word in name for name in names)] == []
 
 
 def headings(page: Outline) -> list[str]:

@@ -15,6 +15,7 @@ from telewide.capture.pair import Capture
 from telewide.matching.networks import StereoNetwork
 from telewide.simulate.layers import RenderedPair, render_pair
 from telewide.simulate.scene import random_scene
+from telewide.training.judge import Judge
 from telewide.training.loop import Training
 from telewide.training.options import StageOptions, TrainOptions
 from telewide.training.processes import Processes
@@ -24,8 +25,6 @@ from telewide.training.stages import Stage
 WINDOW = (0, 32)
 CROP_HW = (64, 96)
 CPU = torch.device("cpu")
-
-Judge = Callable[[StereoNetwork], Mapping[str, float]]
 
 
 def rendered(seed: int, *, hw: tuple[int, int] = (96, 144)) -> RenderedPair:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from telewide.recipe import load_recipe
+from telewide.recipe import DEFAULT_RECIPE, load_recipe
 from telewide.training.options import StageOptions, TrainOptions
 from telewide.training.stages import Stage, ending_with, plan_stages
 
@@ -71,6 +71,12 @@ def test_a_shipped_recipe_resolves_to_its_stages(name: str) -> None:
     assert {stage.name: line_of(stage.options) for stage in plan} == stages
     assert [stage.name for stage in plan] == list(stages)
     assert [stage.index for stage in plan] == list(range(len(plan)))
+
+
+def test_a_recipe_that_names_no_network_takes_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("train: {start: box}\n")
+    assert load_recipe(str(path)).network == load_recipe(DEFAULT_RECIPE).network
 
 
 def test_every_shipped_recipe_is_in_the_table(repo: Path) -> None:
