@@ -108,7 +108,7 @@ class ConsoleObserver:
 
     def labelling(self, total: int) -> Callable[[], None]:
         """Show a bar over the labels."""
-        self._begin("semi-global labels to begin with", total=total)
+        self._begin("labels to begin with", total=total)
         return self._advance
 
     def detecting(self, total: int) -> Callable[[], None]:

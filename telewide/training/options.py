@@ -38,7 +38,7 @@ class StageOptions(Options):
     captured: Count = 0
     """Crops a step of the real captures."""
     captured_loss: CapturedLoss = "photometric"
-    """Comparison of the real crops: by eq. 3, eq. 5, confident semi-global labels, or smooth L1 alone against the
+    """Comparison of the real crops: by eq. 3, eq. 5, confident labels (`stages.labels`), or smooth L1 alone against the
     labels, which are the truth where a data set has it."""
     captured_weight: Positive = 1.0
     """Weight of the real crops' loss beside the rehearsed crops'."""
@@ -57,7 +57,7 @@ class StageOptions(Options):
     symmetric_loss: bool = False
     """Compare undamaged views, whatever the network is shown (settings S3 and S4)."""
     labels_weight: Annotated[float, Field(ge=0)] = 0.0
-    """Weight of confident semi-global labels beside another loss of the real crops."""
+    """Weight of confident labels beside another loss of the real crops."""
     judge_every_steps: Annotated[int, Field(ge=1)] | None = None
     """Steps between two questions to the held-out matches; null takes what holds for all stages."""
 
