@@ -26,7 +26,7 @@ from telewide.training.samples import labels_path
 LABEL_CONFIDENCE = 0.5
 
 
-def teacher_of(options: TrainOptions) -> str:
+def labeller_of(options: TrainOptions) -> str:
     """The matcher whose confident disparities a training begins with, as in `labels_path`.
 
     Where the network in the box is the start, it knows more of the pairs than semi-global matching does: at x4, what it
@@ -40,7 +40,7 @@ def write_labels(
     *,
     names: Iterable[str],
     window: Window,
-    teacher: str = "",
+    labeller: str = "",
     device: Device = "auto",
     tick: Callable[[], None] | None = None,
 ) -> None:
@@ -50,14 +50,14 @@ def write_labels(
         prepared: the pairs.
         names: of the pairs that training will see.
         window: disparities to search, px at the working size.
-        teacher: as of :func:`teacher_of`.
+        labeller: as of :func:`labeller_of`.
         device: of a network.
         tick: called after each.
     """
     wanted = set(names)
-    match = read_matcher(BOX_WEIGHTS, method="network" if teacher else "sgm", device=device).match
+    match = read_matcher(BOX_WEIGHTS, method="network" if labeller else "sgm", device=device).match
     for item in prepared.pairs:
-        path = labels_path(item.capture.tele_path.parent, window_px=window, teacher=teacher)
+        path = labels_path(item.capture.tele_path.parent, window_px=window, labeller=labeller)
         if item.capture.name in wanted and not _is_each_whole(path, of=item.capture.tele_path):
             write_pfm(path, confident_disparity(read_pair(item.capture), window, match=match))
         if tick is not None:

@@ -32,7 +32,7 @@ from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe
 from telewide.stages.call import Call, alone
 from telewide.stages.call import record as record_call
-from telewide.stages.labels import teacher_of, write_labels
+from telewide.stages.labels import labeller_of, write_labels
 from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.training_log import LoggedReporter, drop_log_after
@@ -157,8 +157,8 @@ def planned(recipe: Recipe) -> tuple[Stage, ...]:
 def _label(call: Call, prepared: PreparedSet, record: TrainingRecord, *, tick: Callable[[], None]) -> None:
     """Write the labels of this process' share of the captures that training sees."""
     names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
-    mine, teacher = call.processes.share(names), teacher_of(call.recipe.train)
-    write_labels(prepared, names=mine, window=record.window, teacher=teacher, device=call.device, tick=tick)
+    mine, labeller = call.processes.share(names), labeller_of(call.recipe.train)
+    write_labels(prepared, names=mine, window=record.window, labeller=labeller, device=call.device, tick=tick)
 
 
 def _take_up(
@@ -263,7 +263,7 @@ def _training(
         asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
         area=area,
         labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
-        teacher=teacher_of(recipe.train),
+        labeller=labeller_of(recipe.train),
     )
     judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
     if recipe.train.rehearsal.steps and recipe.train.rehearsal.rehearsed:

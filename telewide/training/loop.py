@@ -395,8 +395,9 @@ def _return_to_best(
 
 def _save(training: Training, state: TrainingState, card: WeightsCard) -> None:
     if training.processes.is_writer:
-        save_state(state, training.folder / STATE_NAME)
+        # The state last: a training that says it is finished has its weights.
         save_weights(state.average, training.folder / WEIGHTS_NAME, card=card)
+        save_state(state, training.folder / STATE_NAME)
 
 
 def _save_underway(training: Training, state: TrainingState, stage: Stage) -> None:

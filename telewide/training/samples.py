@@ -82,7 +82,7 @@ class SampleSource:
         enlargement: how many times larger crops show the captures than they are, as the network will match them.
         asymmetry: range of the factor by which rehearsed views are damaged.
         area: the part of each capture that may be seen.
-        teacher: of the labels, as of :func:`labels_path`.
+        labeller: of the labels, as of :func:`labels_path`.
         undamaged: by the name of a capture, the same with a source view that was not damaged; for data sets that are
             damaged on purpose.
         reader: keeps the pictures last read.
@@ -95,7 +95,7 @@ class SampleSource:
     asymmetry: tuple[float, float] = (1.0, 6.0)
     area: CropArea = field(default_factory=CropArea)
     labels_folder: Path | None = None
-    teacher: str = ""
+    labeller: str = ""
     undamaged: Mapping[str, Capture] | None = None
     reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=768 << 20), compare=False)
 
@@ -105,15 +105,15 @@ class SampleSource:
         return scaled_window(self.window_px, self.enlargement)
 
 
-def labels_path(folder: Path, *, window_px: Window, teacher: str = "") -> Path:
+def labels_path(folder: Path, *, window_px: Window, labeller: str = "") -> Path:
     """Where the confident disparities of a pair lie: a search of another window, or by another matcher, finds others.
 
     Args:
         folder: of the pair.
         window_px: searched.
-        teacher: eight digits that stand for the weights that matched; none for semi-global matching.
+        labeller: eight digits that stand for the weights that matched; none for semi-global matching.
     """
-    return folder / f"labels_{window_px[0]}_{window_px[1]}{teacher and f'_{teacher}'}.pfm"
+    return folder / f"labels_{window_px[0]}_{window_px[1]}{labeller and f'_{labeller}'}.pfm"
 
 
 def generator_for(seed: int, *salt: int) -> np.random.Generator:
@@ -156,7 +156,7 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
         None
         if source.labels_folder is None
         else _read_labels(
-            labels_path(source.labels_folder / capture.name, window_px=source.window_px, teacher=source.teacher)
+            labels_path(source.labels_folder / capture.name, window_px=source.window_px, labeller=source.labeller)
         )
     )
     box, shift_px = _random_box(pair.tele.shape[:2], source, rng)

@@ -27,7 +27,7 @@ from telewide.errors import InputError, QualityError
 from telewide.files import fingerprint
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
-from telewide.stages.labels import teacher_of, write_labels
+from telewide.stages.labels import labeller_of, write_labels
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, lying_rig, refuse_without_rig, where_rig_lies
@@ -179,18 +179,18 @@ def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) 
 def test_a_training_from_the_box_is_labelled_by_it(captures: Path, tmp_path: Path) -> None:
     """Its labels lie beside those of semi-global matching, and most of the picture has one that is right."""
     pairs = prepared(captures, tmp_path / "run")
-    item, teacher = pairs.pairs[0], teacher_of(TrainOptions(start="box"))
+    item, labeller = pairs.pairs[0], labeller_of(TrainOptions(start="box"))
     by_box, by_sgm = (
-        labels_path(item.capture.tele_path.parent, window_px=(0, 32), teacher=name) for name in (teacher, "")
+        labels_path(item.capture.tele_path.parent, window_px=(0, 32), labeller=name) for name in (labeller, "")
     )
-    write_labels(pairs, names=[item.capture.name], window=(0, 32), teacher=teacher)
+    write_labels(pairs, names=[item.capture.name], window=(0, 32), labeller=labeller)
     assert by_box.is_file()
     assert not by_sgm.exists()
     truth_px, labels_px = read_pfm(captures / item.capture.name / "truth.pfm"), read_pfm(by_box)
     known = np.isfinite(labels_px) & np.isfinite(truth_px)
     assert known.mean() > 0.5
     assert np.mean(np.abs(labels_px - truth_px)[known] < 1) > 0.85
-    assert teacher_of(TrainOptions(start="scratch")) == ""
+    assert labeller_of(TrainOptions(start="scratch")) == ""
 
 
 def test_pairs_whose_rows_disagree_are_refused_by_what_was_measured(captures: Path, tmp_path: Path) -> None:

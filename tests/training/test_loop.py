@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import signal
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -120,6 +121,43 @@ def test_a_checkpoint_taken_anywhere_leads_to_the_same_end(
         assert is_same(train(training, state, reporter=again).average, end.average)
         assert again.losses == {key: value for key, value in whole.losses.items() if key[1] > step}
         assert again.judgements == [answer for answer in whole.judgements if answer[1] > step]
+
+
+class Killed(BaseException):
+    """The process is gone."""
+
+
+@pytest.mark.parametrize("write", range(1, 10))
+def test_a_training_that_says_it_is_finished_has_its_weights(
+    write: int, tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed before each of its writes in turn: the next call goes on, or all is there. The second step is the best."""
+    writes = 0
+
+    def killed_before(saving: Callable[..., None]) -> Callable[..., None]:
+        def counted(*args: object, **kwargs: object) -> None:
+            nonlocal writes
+            writes += 1
+            if writes == write:
+                raise Killed
+            saving(*args, **kwargs)
+
+        return counted
+
+    options = short(photometric={**PHOTOMETRIC, "steps": 3}, stages=0)
+    training = training_in(tmp_path, source, options=options, judge=ScriptedJudge((0.9, 0.5, 0.7, 0.7, 0.7)))
+    with monkeypatch.context() as patch:
+        for name in ("save_state", "save_weights"):
+            patch.setattr(loop, name, killed_before(getattr(loop, name)))
+        patch.setattr(loop, "CHECKPOINT_EVERY_S", 0.0)
+        with contextlib.suppress(Killed):
+            train(training, fresh(), reporter=Heard())
+    if not (tmp_path / STATE_NAME).is_file():
+        return
+    state = load_state(tmp_path / STATE_NAME, network_name="lite", device=CPU)
+    if state.is_finished:
+        kept, _ = load_weights(tmp_path / WEIGHTS_NAME, device=CPU)
+        assert is_same(kept, state.average)
 
 
 def test_a_second_interrupt_stops_at_once(tmp_path: Path, source: SampleSource) -> None:

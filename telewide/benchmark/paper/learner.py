@@ -45,7 +45,7 @@ from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window
 from telewide.points.held_out import summarise_errors
 from telewide.points.matches import find_matches
-from telewide.stages.labels import teacher_of
+from telewide.stages.labels import labeller_of
 from telewide.stages.train import USUAL_ASYMMETRY
 from telewide.training.checkpoint import STATE_NAME, load_state, load_weights
 from telewide.training.judge import Judge
@@ -123,8 +123,8 @@ def _teaches_by(options: TrainOptions, plan: tuple[Stage, ...]) -> str | None:
         return "truth"
     if not any(stage.needs_labels for stage in plan):
         return None
-    teacher = teacher_of(options)
-    return f"labels-{teacher}" if teacher else "labels"
+    labeller = labeller_of(options)
+    return f"labels-{labeller}" if labeller else "labels"
 
 
 def truth_judge(task: Task, shown: SecondView) -> Judge:
@@ -187,9 +187,9 @@ def _features(link: Link, network_name: str, device: torch.device) -> nn.Module:
     if not link.stage.is_teaching_space:
         return load_weights(link.folder / f"{link.stage.name}.safetensors", device=device)[0].features
     state = load_state(link.folder / STATE_NAME, network_name=network_name, device=device, plan=link.plan)
-    if state.teacher is None:
+    if state.labeller is None:
         raise InputError(f"{link.folder / STATE_NAME} holds no feature space", hint="remove it, and train again")
-    return state.teacher
+    return state.labeller
 
 
 def space_encoder(features: nn.Module) -> Encoder:

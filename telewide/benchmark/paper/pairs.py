@@ -67,8 +67,8 @@ def write_pairs(
         place: of everything that is learned.
         second_view: what the system sees as the second view.
         view_facts: all that the second view depends on besides the scenes.
-        teaches_by: truth, labels (confident semi-global disparities), labels-TEACHER (those of the network in the
-            box, as of `teacher_of`), or None.
+        teaches_by: truth, labels (confident semi-global disparities), labels-LABELLER (those of the network in the
+            box, as of `labeller_of`), or None.
 
     Raises:
         InputError: the task has no scenes to learn from, or one cannot be read.
