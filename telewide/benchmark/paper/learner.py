@@ -187,9 +187,9 @@ def _features(link: Link, network_name: str, device: torch.device) -> nn.Module:
     if not link.stage.is_teaching_space:
         return load_weights(link.folder / f"{link.stage.name}.safetensors", device=device)[0].features
     state = load_state(link.folder / STATE_NAME, network_name=network_name, device=device, plan=link.plan)
-    if state.labeller is None:
+    if state.teacher is None:
         raise InputError(f"{link.folder / STATE_NAME} holds no feature space", hint="remove it, and train again")
-    return state.labeller
+    return state.teacher
 
 
 def space_encoder(features: nn.Module) -> Encoder:
