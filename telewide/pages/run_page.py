@@ -98,7 +98,7 @@ def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Ope
         Focus(numbers["focus_px"], x_px, y_px, sharp_px=sharp_px),
         numbers["blur_per_px"],
         f_number=asked.f_number,
-        blades=asked.aperture.blades,
+        aperture=asked.aperture,
         lights=asked.highlights,
     )
 

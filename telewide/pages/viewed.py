@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
 from telewide.bokeh.highlights import light_share
@@ -57,14 +58,14 @@ class Opening:
         focus: what is sharp, px of the photo.
         blur_per_px: radius of the blur per px of disparity.
         f_number: that was asked for; None where the blur was given in another way.
-        blades: of the opening; None for a disk.
+        aperture: shape of the opening.
         lights: how many times as bright as white small clipped lights were.
     """
 
     focus: Focus
     blur_per_px: float
     f_number: float | None = None
-    blades: int | None = None
+    aperture: Aperture = DISK
     lights: float = 1.0
 
 
@@ -127,7 +128,9 @@ def _told_of(opens: Opening, metric: Metric | None) -> dict[str, object]:
         "sharpPx": list(focus.sharp_px or (focus.disparity_px, focus.disparity_px)),
         "radiusPerPx": opens.blur_per_px,
         "fNumber": opens.f_number or _like_f_number(opens.blur_per_px, metric),
-        "blades": opens.blades or 0,
+        "blades": opens.aperture.blades or 0,
+        "curvature": opens.aperture.curvature,
+        "turnRad": math.radians(opens.aperture.rotation_deg),
         "lights": opens.lights,
     }
 

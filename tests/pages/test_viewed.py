@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from telewide.bokeh.aperture import Aperture
 from telewide.bokeh.focus import Focus
 from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
 from telewide.bokeh.render import radius_per_px_from_f_number
@@ -76,12 +77,14 @@ def test_the_page_opens_with_the_bokeh_that_was_made() -> None:
     """On a page of another size than the photo: the same place, the same blur, the same lights."""
     photo, disparity = scene(times=20)
     focus = Focus(20.0, 900, 600, sharp_px=(19.0, 21.0))
-    opening = Opening(focus, 0.7, f_number=2.8, blades=7, lights=9.0)
+    aperture = Aperture(blades=7, curvature=0.3, rotation_deg=180)
+    opening = Opening(focus, 0.7, f_number=2.8, aperture=aperture, lights=9.0)
     told = viewed_capture(photo, disparity, others={}, metric=None, name="one", opening=opening)
     scale = LONGEST_PX / photo.shape[1]
     assert told["focus"] == [600, 400]
     np.testing.assert_allclose([told["focusPx"], *told["sharpPx"]], np.array([20.0, 19.0, 21.0]) * scale)  # type: ignore[misc]
-    assert [told[name] for name in ("radiusPerPx", "fNumber", "blades", "lights")] == [0.7, 2.8, 7, 9.0]
+    assert [told[name] for name in ("radiusPerPx", "fNumber", "lights")] == [0.7, 2.8, 9.0]
+    assert [told[name] for name in ("blades", "curvature", "turnRad")] == [7, 0.3, np.pi]
 
 
 def test_a_blur_given_in_pixels_opens_as_the_f_number_that_blurs_so() -> None:

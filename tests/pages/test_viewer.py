@@ -6,6 +6,7 @@ import base64
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,7 @@ def test_it_opens_with_the_bokeh_that_was_made(tmp_path: Path) -> None:
     """The first picture is the renderer's, of a blur no step of a slider stands for; a turned slider then counts."""
     _, disparity_px = world()
     focus = Focus(float(disparity_px.min()), *place_of(disparity_px, disparity_px.min()))
-    opening = Opening(focus, 1.13, f_number=2.2, blades=6, lights=5.0)
+    opening = Opening(focus, 1.13, f_number=2.2, aperture=Aperture(blades=6), lights=5.0)
     path, told = page_of(tmp_path, metric=None, opening=opening)
     sharp = _decoded(told["pictures"]["tele"])  # type: ignore[index]
     expected = render_bokeh(
@@ -178,6 +179,31 @@ def test_it_opens_with_the_bokeh_that_was_made(tmp_path: Path) -> None:
         turn(page, "stop", 12)
         assert page.inner_text("#number") == "f/4.0"
         assert page.inner_text("#lightsWord") == words[2]
+
+
+def test_a_lamp_off_the_focus_shows_the_blades_with_their_roundness_and_turn(tmp_path: Path) -> None:
+    """Five of them, so that those turned to the other side look different."""
+    photo = np.zeros((SIDE, SIDE, 3), np.float32)
+    photo[62:67, 62:67] = 1.0
+    disparity_px = np.zeros((SIDE, SIDE), np.float32)
+    disparity_px[:8, :8] = 12.0
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+    asked = Aperture(blades=5, curvature=0.5, rotation_deg=18)
+    opening = Opening(Focus(12.0, 4, 4), 1.0, f_number=2.0, aperture=asked)
+    told = viewed_capture(photo, maps, others={}, metric=None, name="lamp", opening=opening)
+    row = ReportRow("lamp", (thumbnail("tele", photo),), {}, told)
+    path = write_report(tmp_path / "report.html", [row], title="Page", next_steps=[])
+    with page_in_browser(path) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        shown = pixels(page)
+    asked_for, *others = (
+        render_bokeh(photo, disparity_px, focus_disparity_px=12.0, radius_per_px=1.0, aperture=aperture)
+        for aperture in (asked, replace(asked, curvature=0.0), replace(asked, rotation_deg=-18))
+    )
+    assert psnr(shown, asked_for) > 42
+    # Share of the way from another opening's picture to the one asked for: 1 there, 0 where the page ignores the word.
+    ways = [float(np.sum((shown - other) * (asked_for - other)) / np.sum((asked_for - other) ** 2)) for other in others]
+    np.testing.assert_allclose(ways, 1, atol=0.3)
 
 
 def test_keys_move_the_focus_and_turn_the_aperture(opened: Any) -> None:

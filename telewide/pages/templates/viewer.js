@@ -237,20 +237,20 @@ function readOut(x, y) {
 }
 
 // Points of the opening: a sequence that fills a square evenly (R2, Roberts 2018), of which those inside are kept.
-function lensPoints(blades, count) {
+function lensPoints({ blades, curvature, turn }, count) {
   const half = Math.PI / (blades || 1), points = [];
+  const outline = (angle) => { // distance of the edge from the middle where a corner lies at 1 and at angle 0
+    const within = (angle % (2 * half) + 2 * half) % (2 * half);
+    return blades ? (1 - curvature) * Math.cos(half) / Math.cos(within - half) + curvature : 1;
+  };
   let area = 0;
   for (let k = 0; k < 4096; k++) {
-    const edge = blades ? Math.cos(half) / Math.cos(((k + 0.5) / 4096 * 2 * Math.PI) % (2 * half) - half) : 1;
-    area += edge * edge / 4096;
+    area += outline((k + 0.5) / 4096 * 2 * Math.PI) ** 2 / 4096;
   }
   const reach = 1 / Math.sqrt(area);
   for (let k = 1; points.length < count; k++) {
     const x = reach * (2 * ((0.5 + k * 0.7548776662466927) % 1) - 1), y = reach * (2 * ((0.5 + k * 0.5698402909980532) % 1) - 1);
-    let angle = Math.atan2(-x, y) % (2 * half);
-    if (angle < 0) angle += 2 * half;
-    const edge = reach * (blades ? Math.cos(half) / Math.cos(angle - half) : 1);
-    if (Math.hypot(x, y) <= edge) points.push([x, y]);
+    if (Math.hypot(x, y) <= reach * outline(Math.atan2(-x, y) - turn)) points.push([x, y]);
   }
   return points;
 }
@@ -277,7 +277,7 @@ function aperture() {
   state.lights = value("lights", told.lights, (doublings) => Math.pow(2, doublings));
   byId("lightsWord").textContent = `× ${Number(state.lights.toFixed(1))}`;
   byId("bladesWord").textContent = blades < 5 ? "round" : String(blades);
-  state.blades = blades < 5 ? 0 : blades;
+  state.opening = { blades: blades < 5 ? 0 : blades, curvature: told.curvature, turn: told.turnRad };
   redraw();
 }
 
@@ -289,7 +289,7 @@ function largestRadius() {
 function redraw() {
   state.done = 0;
   const total = Math.min(MOST, Math.max(LEAST, Math.ceil(0.6 * largestRadius() ** 2)));
-  state.points = lensPoints(state.blades, total);
+  state.points = lensPoints(state.opening, total);
   canvas.dataset.done = "0";
   canvas.dataset.drawing = String(Number(canvas.dataset.drawing || 0) + 1);
   if (!waiting) waiting = requestAnimationFrame(frame);
