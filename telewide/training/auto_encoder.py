@@ -127,7 +127,7 @@ def _reconstruction(picture: Tensor, target: Tensor, *, mask_BHW: Tensor) -> tup
     picture = at_least_float32(picture)
     robust = ((picture - target).square() + ROOT_FLOOR).sqrt().mean(dim=1)
     unlike = (1 - ssim(picture, target)).mean(dim=1) / 2
-    windows = _none_outside(mask_BHW, cells=3, stride=1)
+    windows = _windows_within(mask_BHW)
     return _masked(SSIM_SHARE * unlike, windows), _masked((1 - SSIM_SHARE) * robust, mask_BHW)
 
 
@@ -163,12 +163,13 @@ def _masked(difference_BHW: Tensor, mask_BHW: Tensor) -> Term:
 
 def _within_cells(mask_BHW: Tensor, like: Tensor) -> Tensor:
     """(B, h, w) bool, the cells of a smaller map all of whose pixels are in the mask."""
-    cells = mask_BHW.shape[-1] // like.shape[-1]
-    return _none_outside(mask_BHW, cells=cells, stride=cells)
+    outside = functional.adaptive_max_pool2d((~mask_BHW)[:, None].float(), like.shape[-2:])
+    return outside[:, 0] == 0
 
 
-def _none_outside(mask_BHW: Tensor, *, cells: int, stride: int) -> Tensor:
-    outside = functional.max_pool2d((~mask_BHW)[:, None].float(), cells, stride=stride)
+def _windows_within(mask_BHW: Tensor) -> Tensor:
+    """(B, H - 2, W - 2) bool, the windows of 3x3 pixels that are wholly in the mask."""
+    outside = functional.max_pool2d((~mask_BHW)[:, None].float(), 3, stride=1)
     return outside[:, 0] == 0
 
 

@@ -134,3 +134,20 @@ def test_an_auto_encoder_without_crops_has_the_terms_of_one_with_crops() -> None
         view, disparity_px = torch.rand(crops, 3, 64, 64), torch.zeros(crops, 64, 64)
         names.append([name for name, _ in auto_encoder_terms(space, view, view, disparity_px_BHW=disparity_px)])
     assert names[0] == names[1]
+
+
+@pytest.mark.parametrize("hw", [(64, 128), (96, 112), (80, 144)])
+def test_whole_masks_change_nothing_at_any_size_of_crop(hw: tuple[int, int]) -> None:
+    """Crops of small pictures are multiples of 16 px, which halving five times does not divide."""
+    view = torch.rand(1, 3, *hw, generator=torch.Generator().manual_seed(0))
+    whole = torch.ones(1, *hw, dtype=torch.bool)
+    disparity_px = torch.zeros(1, *hw)
+    torch.manual_seed(0)
+    space = AutoEncoder()
+    plain, masked = (
+        auto_encoder_terms(space, view, view, disparity_px_BHW=disparity_px, valid=valid)
+        for valid in (None, (whole, whole))
+    )
+    for (name, one), (_, other) in zip(plain, masked, strict=True):
+        torch.testing.assert_close(one.total, other.total, msg=name)
+        assert one.count == other.count > 0
