@@ -136,7 +136,7 @@ def test_an_auto_encoder_without_crops_has_the_terms_of_one_with_crops() -> None
     assert names[0] == names[1]
 
 
-@pytest.mark.parametrize("hw", [(64, 128), (96, 112), (80, 144)])
+@pytest.mark.parametrize("hw", [(96, 128), (96, 112), (80, 144)])
 def test_whole_masks_change_nothing_at_any_size_of_crop(hw: tuple[int, int]) -> None:
     """Crops of small pictures are multiples of 16 px, which halving five times does not divide."""
     view = torch.rand(1, 3, *hw, generator=torch.Generator().manual_seed(0))
