@@ -35,6 +35,11 @@ def labeller_of(options: TrainOptions) -> str:
     return fingerprint(BOX_WEIGHTS)[:8] if options.start == "box" else ""
 
 
+def labelling_match(labeller: str, *, device: Device) -> Match:
+    """Read the matcher that a labeller names, as of :func:`labeller_of`."""
+    return read_matcher(BOX_WEIGHTS, method="network" if labeller else "sgm", device=device).match
+
+
 def write_labels(
     prepared: PreparedSet,
     *,
@@ -55,10 +60,11 @@ def write_labels(
         tick: called after each.
     """
     wanted = set(names)
-    match = read_matcher(BOX_WEIGHTS, method="network" if labeller else "sgm", device=device).match
+    match: Match | None = None  # a training that goes on finds its labels, and reads no network for them
     for item in prepared.pairs:
         path = labels_path(item.capture.tele_path.parent, window_px=window, labeller=labeller)
         if item.capture.name in wanted and not _is_each_whole(path, of=item.capture.tele_path):
+            match = match or labelling_match(labeller, device=device)
             write_pfm(path, confident_disparity(read_pair(item.capture), window, match=match))
         if tick is not None:
             tick()

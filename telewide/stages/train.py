@@ -298,10 +298,8 @@ def enlargement_of(seen: Sequence[Capture], network: StereoNetwork) -> float:
 def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe, *, enlargement: float) -> tuple[int, int]:
     """The recipe's crop, or a smaller one where the smallest picture would have to be enlarged to fill it."""
     with_size = [hw for capture in seen if (hw := read_photo_facts(capture.tele_path).hw) is not None]
-    sizes_hw = [
-        (int(enlargement * height), int(enlargement * (area.end - area.first) * width)) for height, width in with_size
-    ]
-    return fitting_crop(recipe.train.crop_hw, sizes_hw or [recipe.train.crop_hw])
+    sizes_hw = [(height, int((area.end - area.first) * width)) for height, width in with_size]
+    return fitting_crop(recipe.train.crop_hw, sizes_hw or [recipe.train.crop_hw], enlargement=enlargement)
 
 
 def judged_captures(prepared: PreparedSet, record: TrainingRecord, recipe: Recipe) -> list[HeldOut]:

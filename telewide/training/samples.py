@@ -188,19 +188,22 @@ def _mirrored(values: NDArray[Value]) -> NDArray[Value]:
     return np.ascontiguousarray(values[:, ::-1])
 
 
-def fitting_crop(crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]]) -> tuple[int, int]:
+def fitting_crop(
+    crop_hw: tuple[int, int], sizes_hw: Iterable[tuple[int, int]], *, enlargement: float = 1.0
+) -> tuple[int, int]:
     """The largest crop, up to the one asked for, that no picture has to be enlarged to fill.
 
     Args:
         crop_hw: asked for, multiples of 16 px.
         sizes_hw: of the parts of the pictures that training sees.
+        enlargement: of the pictures, as of :class:`SampleSource`.
 
     Returns:
         Height and width, multiples of 16 px, at least 64.
     """
     heights, widths = zip(*sizes_hw, strict=True)
     height, width = (
-        min(asked, max(_LEAST_CROP_PX, least // _CROP_MULTIPLE_PX * _CROP_MULTIPLE_PX))
+        min(asked, max(_LEAST_CROP_PX, int(enlargement * least) // _CROP_MULTIPLE_PX * _CROP_MULTIPLE_PX))
         for asked, least in zip(crop_hw, (min(heights), min(widths)), strict=True)
     )
     return height, width

@@ -235,10 +235,9 @@ def _begun(
 def _training(chain: Chain, options: TrainOptions, folder: Path, *, device: torch.device, n_steps: int) -> Training:
     pairs = chain.pairs
     enlargement = enlargement_of(pairs.captures, build_network(chain.recipe.network))
-    sizes_hw = [(int(enlargement * height), int(enlargement * width)) for height, width in pairs.sizes_hw]
     source = SampleSource(
         captures=pairs.captures,
-        crop_hw=fitting_crop(options.crop_hw, sizes_hw),
+        crop_hw=fitting_crop(options.crop_hw, pairs.sizes_hw, enlargement=enlargement),
         window_px=chain.task.window,
         enlargement=enlargement,
         asymmetry=chain.asymmetry,

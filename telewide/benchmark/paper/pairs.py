@@ -15,7 +15,6 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
-from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint
 from telewide.capture.images import write_image
@@ -25,8 +24,7 @@ from telewide.capture.pfm import write_pfm
 from telewide.errors import InputError
 from telewide.files import is_file, write_text
 from telewide.folders import alone_in
-from telewide.stages.labels import confident_disparity
-from telewide.stages.match import read_matcher
+from telewide.stages.labels import confident_disparity, labelling_match
 from telewide.training.samples import labels_path
 
 _DONE = "pairs.json"
@@ -112,11 +110,11 @@ def _capture(folder: Path, name: str, wide: str) -> Capture:
 
 
 def _write_labels(folder: Path, names: tuple[str, ...], task: Task, place: Place) -> None:
-    is_network = folder.name != "labels"
-    match = read_matcher(BOX_WEIGHTS, method="network" if is_network else "sgm", device=task.device).match
+    labeller = folder.name.removeprefix("labels").removeprefix("-")
+    match = labelling_match(labeller, device=task.device)
     for name in names:
         path = labels_path(folder / name, window_px=task.window)
         if not is_file(path):
-            place.tell(f"{name}: labelled by {'the network in the box' if is_network else 'semi-global matching'}")
+            place.tell(f"{name}: labelled by {'the network in the box' if labeller else 'semi-global matching'}")
             pair = read_pair(_capture(folder.parent, name, "wide.png"))
             write_pfm(path, confident_disparity(pair, task.window, match=match))
