@@ -26,13 +26,12 @@ from telewide.calibration.rig_file import StoredRig, read_rig, stored_rig, write
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.pair import PhotoPair, find_captures, pair_from_photos, read_photos
 from telewide.cores import Device
-from telewide.correction.verdict import disparity_window
 from telewide.depth.result import DepthResult
 from telewide.errors import QualityError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
-from telewide.matching.window import VOLUME_STEP_PX, Window, joined_window
+from telewide.matching.window import Window, joined_window, measured_window
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.align import ShotFacts, align_photos, shot_precision
 from telewide.stages.calibrate import CalibrateOptions, calibrate_shots
@@ -239,7 +238,7 @@ def estimate_depth(
 def _window(shot: CorrectedShot, recipe: Recipe, matcher: Matcher) -> Window:
     if recipe.window_px is not None:
         return recipe.window_px
-    measured = disparity_window([shot.report], step_px=VOLUME_STEP_PX)
+    measured = measured_window([shot.report.disparity_range_px])
     return measured if matcher.window is None else joined_window((measured, matcher.window))
 
 

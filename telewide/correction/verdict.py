@@ -7,31 +7,16 @@ Convention: ``disparity_px = x_tele - x_wide``, ``vertical_px = y_tele - y_wide`
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from telewide.correction.colour import (
-    ColourFit,
-    apply_colour,
-    fit_colour,
-    light_ratio,
-)
-from telewide.correction.rows import (
-    VerticalFit,
-    apply_vertical,
-    apply_vertical_to_mask,
-    corrected_matches,
-    fit_vertical,
-)
-from telewide.errors import InputError
-from telewide.geometry.stereo import ValidMasks
+from telewide.correction.colour import light_ratio
+from telewide.correction.rows import VerticalFit, fit_vertical
 from telewide.points.bandwidth import estimate_asymmetry
-from telewide.points.matches import Matches, find_matches, split_matches
+from telewide.points.matches import Matches, find_matches
 from telewide.points.similarity import Overlap, find_overlap
 from telewide.records import Figure, Line, Name
 
@@ -87,24 +72,13 @@ class PairReport:
     verdict: Verdict
     reasons: tuple[Line, ...]
 
-
-@dataclass(frozen=True)
-class CorrectedPair:
-    """A pair whose src agrees with ref in rows and colours.
-
-    Attributes:
-        pair: tele as it was, wide corrected.
-        vertical: the vertical fit that was applied.
-        colour: the colour fit that was applied.
-        matches_fit: the matches both were fitted to, in corrected coordinates.
-        matches_held_out: matches that no fit has seen, in corrected coordinates: the judge.
-    """
-
-    pair: RectifiedPair
-    vertical: VerticalFit
-    colour: ColourFit
-    matches_fit: Matches
-    matches_held_out: Matches
+    @property
+    def disparity_range_px(self) -> tuple[float, float] | None:
+        """Least and largest disparity by its matches; None where it is refused or they are too few to tell."""
+        is_measured = math.isfinite(self.disparity_p02_px + self.disparity_p98_px)
+        if self.verdict == "refused" or self.n_matches < MIN_COMMON_MATCHES or not is_measured:
+            return None
+        return self.disparity_p02_px, self.disparity_p98_px
 
 
 @dataclass(frozen=True)
@@ -132,7 +106,7 @@ def inspect_pair(
         The report; it never raises for a bad pair, it says what is wrong.
     """
     found = find_matches(pair.tele, pair.wide) if matches is None else matches
-    vertical = fit_vertical(found, hw=_hw(pair))
+    vertical = fit_vertical(found, hw=pair.tele.shape[:2])
     asymmetry = estimate_asymmetry(pair.tele, pair.wide)
     overlap = None if len(found) > MIN_EVIDENCE_MATCHES else find_overlap(pair.tele, pair.wide)
     ratio = light_ratio(pair.tele, pair.wide, found)
@@ -157,85 +131,6 @@ def inspect_pair(
         verdict=max((f.verdict for f in findings), key=_VERDICTS.index, default="good"),
         reasons=tuple(f.reason for f in findings),
     )
-
-
-def correct_pair(
-    pair: RectifiedPair,
-    *,
-    matches: Matches | None = None,
-    seed: int = 0,
-    has_vertical: bool = True,
-    has_colour: bool = True,
-) -> CorrectedPair:
-    """Bring wide's rows and colours to tele's, fitted to half of the matches.
-
-    Args:
-        pair: the two views, of one size.
-        matches: matches already found on this pair; None finds them.
-        seed: seed of the split into matches to fit to and held-out ones.
-        has_vertical: correct the rows.
-        has_colour: correct the colours.
-
-    Returns:
-        The corrected pair, the fits and both halves of the matches; the split does not depend on what is corrected.
-    """
-    found = find_matches(pair.tele, pair.wide) if matches is None else matches
-    fit_half, held_out = split_matches(found, seed=seed)
-    vertical = fit_vertical(fit_half if has_vertical else fit_half.select(np.arange(0)), hw=_hw(pair))
-    fit_half, held_out = corrected_matches(fit_half, vertical), corrected_matches(held_out, vertical)
-    wide = apply_vertical(pair.wide, vertical)
-    valid = pair.valid and ValidMasks(pair.valid.ref, apply_vertical_to_mask(pair.valid.src, vertical))
-    colour = fit_colour(pair.tele, wide, fit_half if has_colour else fit_half.select(np.arange(0)), held_out=held_out)
-    corrected = dataclasses.replace(pair, wide=apply_colour(wide, colour), valid=valid)
-    return CorrectedPair(
-        pair=corrected, vertical=vertical, colour=colour, matches_fit=fit_half, matches_held_out=held_out
-    )
-
-
-def disparity_window(
-    reports: Sequence[PairReport], *, step_px: int = 4, margin_share: float = 0.2, min_width_px: int = 32
-) -> tuple[int, int]:
-    """Choose the disparities to search, from all pairs of one set.
-
-    Args:
-        reports: reports of the pairs; refused ones and those with few matches have no say.
-        step_px: both ends are multiples of this, px.
-        margin_share: added at either end, as a share of the range measured, and at least one step.
-        min_width_px: least width of the window, px.
-
-    Returns:
-        ``(d_min, d_max)``, px of the reference view, d_max exclusive; either may be negative.
-
-    Raises:
-        InputError: no pair has enough matches.
-    """
-    telling = [
-        r
-        for r in reports
-        if r.verdict != "refused"
-        and r.n_matches >= MIN_COMMON_MATCHES
-        and math.isfinite(r.disparity_p02_px + r.disparity_p98_px)
-    ]
-    if not telling:
-        raise InputError(
-            f"none of the {len(reports)} pairs has {MIN_COMMON_MATCHES} consistent matches to tell a window from",
-            hint="state the window yourself, or look at the pairs' reports",
-        )
-    low_px = min(r.disparity_p02_px for r in telling)
-    high_px = max(r.disparity_p98_px for r in telling)
-    margin_px = max(step_px, margin_share * (high_px - low_px))
-    d_min = step_px * int(np.floor((low_px - margin_px) / step_px))
-    d_max = step_px * int(np.ceil((high_px + margin_px) / step_px))
-    while d_max - d_min < min_width_px:
-        # near things, the larger disparities, are the ones matches miss
-        d_max += step_px
-        if d_max - d_min < min_width_px:
-            d_min -= step_px
-    return d_min, d_max
-
-
-def _hw(pair: RectifiedPair) -> tuple[int, int]:
-    return pair.tele.shape[0], pair.tele.shape[1]
 
 
 def _findings_of_scene(matches: Matches, overlap: Overlap | None) -> list[_Finding]:

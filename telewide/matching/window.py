@@ -1,4 +1,4 @@
-"""Disparity windows: which disparities a volume holds. Free of torch, for recipes and for semi-global matching.
+"""Disparity windows: which disparities are searched. Free of torch, for recipes and for semi-global matching.
 
 A window ``[d_min, d_max)`` has one plane every ``VOLUME_STEP_PX`` px of the full-size image and may be negative.
 """
@@ -6,13 +6,43 @@ A window ``[d_min, d_max)`` has one plane every ``VOLUME_STEP_PX`` px of the ful
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from telewide.errors import InputError
 from telewide.ranges import MAX_DISPARITY_PX, MAX_SPAN_PX
 
 VOLUME_STEP_PX = 4
+_MARGIN_SHARE = 0.2
+"""Searched beyond what was measured, at either end: a share of the range measured, and at least one step."""
+_MIN_WIDTH_PX = 32
 Window = tuple[int, int]
+
+
+def measured_window(ranges_px: Sequence[tuple[float, float] | None]) -> Window:
+    """Choose the disparities to search, from all pairs of one set.
+
+    Args:
+        ranges_px: least and largest disparity of each pair, px; None where its matches do not tell.
+
+    Raises:
+        InputError: the matches of no pair tell.
+    """
+    told_px = [range_px for range_px in ranges_px if range_px is not None]
+    if not told_px:
+        raise InputError(
+            f"none of the {len(ranges_px)} pairs has consistent matches enough to tell a window from",
+            hint="state the window yourself, or look at the pairs' reports",
+        )
+    low_px, high_px = min(low for low, _ in told_px), max(high for _, high in told_px)
+    margin_px = max(VOLUME_STEP_PX, _MARGIN_SHARE * (high_px - low_px))
+    d_min = VOLUME_STEP_PX * math.floor((low_px - margin_px) / VOLUME_STEP_PX)
+    d_max = VOLUME_STEP_PX * math.ceil((high_px + margin_px) / VOLUME_STEP_PX)
+    while d_max - d_min < _MIN_WIDTH_PX:
+        # near things, the larger disparities, are the ones matches miss
+        d_max += VOLUME_STEP_PX
+        if d_max - d_min < _MIN_WIDTH_PX:
+            d_min -= VOLUME_STEP_PX
+    return d_min, d_max
 
 
 def check_window(window: Window) -> None:

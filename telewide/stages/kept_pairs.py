@@ -19,7 +19,7 @@ from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import write_image
 from telewide.capture.pair import Capture, CaptureFacts
 from telewide.capture.sizes import narrowed_hw
-from telewide.correction.verdict import CorrectedPair
+from telewide.correction.correct import CorrectedPair
 from telewide.errors import TelewideError
 from telewide.files import fingerprint, read_regular, replacing
 from telewide.npz import read_npz

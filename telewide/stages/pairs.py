@@ -9,9 +9,9 @@ from telewide.calibration.rig_file import StoredRig
 from telewide.capture.facts import WideSide
 from telewide.capture.pair import Capture, CaptureFacts, Problem
 from telewide.correction.blur import BlurEstimate, damage_range
-from telewide.correction.verdict import PairReport, disparity_window
+from telewide.correction.verdict import PairReport
 from telewide.errors import InputError
-from telewide.matching.window import VOLUME_STEP_PX, Window, check_stated_window, joined_window
+from telewide.matching.window import Window, check_stated_window, joined_window, measured_window
 from telewide.points.held_out import HeldOut
 from telewide.stages.align import Alignment
 from telewide.stages.rig import how_to_calibrate
@@ -68,9 +68,8 @@ class PreparedSet:
             InputError: nothing states them, and there are too few matches to measure them.
         """
         try:
-            return self.stated_window or _believable(
-                disparity_window([pair.report for pair in self.pairs], step_px=VOLUME_STEP_PX)
-            )
+            ranges_px = [pair.report.disparity_range_px for pair in self.pairs]
+            return self.stated_window or _believable(measured_window(ranges_px))
         except InputError as error:
             if self.rig is not None or self.facts.rectified:
                 raise

@@ -32,14 +32,8 @@ from telewide.capture.pair import (
 from telewide.capture.photo_store import PhotoStore
 from telewide.capture.sizes import narrowed_hw
 from telewide.correction.blur import fit_blur
-from telewide.correction.verdict import (
-    MIN_COMMON_MATCHES,
-    MIN_EVIDENCE_MATCHES,
-    CorrectedPair,
-    PairReport,
-    correct_pair,
-    inspect_pair,
-)
+from telewide.correction.correct import CorrectedPair, correct_pair
+from telewide.correction.verdict import MIN_EVIDENCE_MATCHES, PairReport, inspect_pair
 from telewide.errors import InputError, QualityError, TelewideError, UsageError, within_memory
 from telewide.files import changing, fingerprint, write_text
 from telewide.folders import refuse_links
@@ -191,12 +185,12 @@ def _none_left(
 
 def _what_is_cut_off(report: PairReport, stated: Window | None) -> list[Problem]:
     """A note where a stated window ends before the disparities of a capture do."""
-    low_px, high_px = report.disparity_p02_px, report.disparity_p98_px
-    if stated is None or report.n_matches < MIN_COMMON_MATCHES or (stated[0] <= low_px and high_px < stated[1]):
+    range_px = report.disparity_range_px
+    if stated is None or range_px is None or (stated[0] <= range_px[0] and range_px[1] < stated[1]):
         return []
     message = (
-        f"its matches lie at {low_px:.0f} to {high_px:.0f} px, and the recipe states window_px: {list(stated)}: depth "
-        "of what lies beyond is wrong"
+        f"its matches lie at {range_px[0]:.0f} to {range_px[1]:.0f} px, and the recipe states window_px: "
+        f"{list(stated)}: depth of what lies beyond is wrong"
     )
     return [Problem(report.name, message, is_skipped=False)]
 

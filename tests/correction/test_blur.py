@@ -22,7 +22,7 @@ from telewide.correction.blur import (
     sigma_from_factor,
 )
 from telewide.correction.colour import apply_colour, fit_colour
-from telewide.correction.verdict import correct_pair
+from telewide.correction.correct import correct_pair
 from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, find_matches
 from telewide.simulate.degrade import Degradation, degrade

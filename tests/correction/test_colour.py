@@ -27,7 +27,7 @@ from telewide.correction.colour_model import (
     transform_colours,
     transform_image,
 )
-from telewide.correction.verdict import correct_pair
+from telewide.correction.correct import correct_pair
 from telewide.geometry.arrays import FloatImage
 from telewide.points.matches import Matches, find_matches, split_matches
 from telewide.simulate.layers import RenderedPair

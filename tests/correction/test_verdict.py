@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from telewide.capture.facts import CaptureFacts
-from telewide.capture.layout import find_captures
-from telewide.capture.pair import RectifiedPair, read_pair
-from telewide.correction.verdict import PairReport, correct_pair, disparity_window, inspect_pair
-from telewide.errors import InputError
-from telewide.geometry.arrays import FloatImage
+from telewide.capture.pair import RectifiedPair
+from telewide.correction.verdict import PairReport, Verdict, inspect_pair
 from telewide.simulate.layers import RenderedPair
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 
 FACTS = CaptureFacts(asymmetry=3.0, rectified=True)
 SILENT = CaptureFacts()
-
-
-@pytest.fixture
-def pair(world: RenderedPair, wide_src: FloatImage) -> RectifiedPair:
-    return RectifiedPair("box", world.ref, wide_src)
 
 
 def swapped(pair: RectifiedPair) -> RectifiedPair:
@@ -138,74 +129,25 @@ def test_stated_as_unrectified_and_nothing_to_tell_otherwise(pair: RectifiedPair
     assert inspect_pair(flat, facts=CaptureFacts(rectified=False)).verdict == "refused"
 
 
-def test_correction_brings_rows_and_colours_together(pair: RectifiedPair) -> None:
-    corrected = correct_pair(pair)
-    assert corrected.pair.tele is pair.tele
-    assert corrected.vertical.is_fitted
-    assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.3
-    assert corrected.colour.delta_after < 0.3 * corrected.colour.delta_before
-    report = inspect_pair(corrected.pair, facts=FACTS)
-    assert report.vertical_residual_px < 0.3
-    np.testing.assert_allclose(report.colour_ratio, 1.0, atol=0.02)
-
-
-def test_correction_leaves_an_equal_pair_alone(world: RenderedPair) -> None:
-    corrected = correct_pair(RectifiedPair("equal", world.ref, world.src))
-    assert corrected.pair.wide is world.src
-
-
-def test_correction_leaves_a_hopeless_pair_alone(pair: RectifiedPair) -> None:
-    flat = dataclasses.replace(pair, wide=np.full_like(pair.wide, 0.3))
-    corrected = correct_pair(flat)
-    assert corrected.pair.wide is flat.wide
-    assert len(corrected.matches_held_out) == 0
-
-
-def report_of(*, p02_px: float, p98_px: float, n: int = 100, verdict: str = "good") -> PairReport:
-    nan = float("nan")
-    return PairReport("x", n, nan, nan, nan, None, (nan, nan, nan), p02_px, p98_px, verdict, ())  # type: ignore[arg-type]
-
-
-def test_the_window_covers_every_pair_with_a_margin() -> None:
-    low, high = disparity_window([report_of(p02_px=18, p98_px=26), report_of(p02_px=11, p98_px=35)])
-    assert low <= 11 - 4
-    assert high >= 35 + 4
-    assert low % 4 == high % 4 == 0
-
-
-@pytest.mark.parametrize("centre_px", [-50.0, 0.0, 3.0])
-def test_the_window_is_wide_enough_and_of_any_sign(centre_px: float) -> None:
-    low, high = disparity_window([report_of(p02_px=centre_px - 1, p98_px=centre_px + 1)], step_px=8)
-    assert low < centre_px < high
-    assert high - low >= 32
-    assert low % 8 == high % 8 == 0
-
-
-def test_pairs_that_tell_nothing_have_no_say() -> None:
-    nan = float("nan")
-    reports = [
-        report_of(p02_px=10, p98_px=20),
-        report_of(p02_px=-300, p98_px=300, verdict="refused"),
-        report_of(p02_px=-200, p98_px=-100, n=5),
-        report_of(p02_px=nan, p98_px=nan, n=0),
-    ]
-    assert disparity_window(reports) == disparity_window(reports[:1])
-    with pytest.raises(InputError, match="none of the 3 pairs"):
-        disparity_window(reports[1:])
-
-
-@pytest.mark.parametrize("name", ["10", "27"])
-def test_correction_lessens_the_misfit_of_phone_pairs(data_root: Path, name: str) -> None:
-    captures = find_captures(data_root / "p30")
-    capture = next(c for c in captures.captures if c.name == name)
-    corrected = correct_pair(read_pair(capture, facts=captures.facts))
-    assert np.median(np.abs(corrected.matches_held_out.vertical_px)) < 0.45
-    assert corrected.vertical.residual_before_px > 0.5
-    assert corrected.colour.delta_after < 0.5 * corrected.colour.delta_before
-
-
 def test_swapped_views_are_refused_where_exif_contradicts(pair: RectifiedPair) -> None:
     refused = inspect_pair(swapped(pair), facts=SILENT, focal_lengths_mm=(4.2, 9.0))
     assert refused.verdict == "refused"
     assert "4.2 mm for tele" in refused.reasons[-1]
     assert inspect_pair(swapped(pair), facts=SILENT, focal_lengths_mm=(9.0, 4.2)).verdict == "doubtful"
+
+
+@pytest.mark.parametrize(
+    ("range_px", "n", "verdict", "is_told"),
+    [
+        ((10.0, 20.0), 100, "good", True),
+        ((-300.0, 300.0), 100, "refused", False),
+        ((-200.0, -100.0), 5, "doubtful", False),
+        ((float("nan"), float("nan")), 0, "doubtful", False),
+    ],
+)
+def test_disparities_are_told_where_matches_show_them(
+    range_px: tuple[float, float], n: int, verdict: Verdict, *, is_told: bool
+) -> None:
+    nan = float("nan")
+    report = PairReport("x", n, nan, nan, nan, None, (nan, nan, nan), *range_px, verdict, ())
+    assert report.disparity_range_px == (range_px if is_told else None)

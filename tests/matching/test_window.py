@@ -1,11 +1,11 @@
-"""Windows of disparities: what a picture can show of them."""
+"""Windows of disparities: what a picture can show of them, and what matches tell."""
 
 from __future__ import annotations
 
 import pytest
 
 from telewide.errors import InputError
-from telewide.matching.window import Window, check_window, scaled_window, within_width
+from telewide.matching.window import Window, check_window, measured_window, scaled_window, within_width
 
 
 @pytest.mark.parametrize(
@@ -33,3 +33,23 @@ def test_a_window_at_another_size_holds_its_disparities_and_few_more(window: Win
     assert d_min <= scale * window[0] < d_min + 4
     assert d_max - 4 < scale * window[1] <= d_max
     check_window((d_min, d_max))
+
+
+def test_the_window_covers_every_pair_with_a_margin() -> None:
+    low, high = measured_window([(18, 26), None, (11, 35)])
+    assert low <= 11 - 4
+    assert high >= 35 + 4
+    assert low % 4 == high % 4 == 0
+
+
+@pytest.mark.parametrize("centre_px", [-50.0, 0.0, 3.0])
+def test_the_window_is_wide_enough_and_of_any_sign(centre_px: float) -> None:
+    low, high = measured_window([(centre_px - 1, centre_px + 1)])
+    assert low < centre_px < high
+    assert high - low >= 32
+    assert low % 4 == high % 4 == 0
+
+
+def test_without_any_measured_pair_no_window_is_guessed() -> None:
+    with pytest.raises(InputError, match="none of the 3 pairs"):
+        measured_window([None, None, None])

@@ -5,11 +5,11 @@ from __future__ import annotations
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.paper.system import SecondView, Task, enlarged_view
 from telewide.capture.pair import RectifiedPair
-from telewide.correction.verdict import correct_pair
+from telewide.correction.correct import correct_pair
 from telewide.geometry.arrays import FloatImage
 
 CORRECTION_SOURCES = (
-    *("correction.colour", "correction.colour_model", "correction.rows", "correction.verdict"),
+    *("correction.colour", "correction.colour_model", "correction.rows", "correction.correct"),
     *("points.features", "points.matches", "points.robust"),
 )
 
