@@ -1,6 +1,6 @@
 """Focus of a picture: a point, a distance, the nearest or the farthest surface, or the subject in the middle.
 
-A surface is what lies within a slab of disparity; everything but a point is found from confident pixels alone.
+Everything but a point is found from confident pixels alone; the subject as :mod:`telewide.bokeh.subject` says.
 Letters: H W image.
 """
 
@@ -13,28 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from telewide.bokeh.things import nearest_thing
+from telewide.bokeh.subject import OUTLIER_PERCENT, find_subject
 from telewide.depth.edges import nearest_known
 from telewide.errors import InputError, UsageError
-from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
+from telewide.geometry.arrays import BoolMap, FloatMap
 
 FOCUS_WORDS = ("auto", "near", "far")
 AF_WORD = "af"
 """The place that the photo's EXIF names; `named_focus` turns it into a point."""
-OUTLIER_PERCENT = 0.5  # of the pixels at either end, whose disparity is taken for a mistake
 CONFIDENT = 0.5
 POINT_WINDOW_PX = 2
 SAME_SURFACE_PX = 1.0
-SLAB_SHARE, SLAB_MIN_PX = 0.1, 1.0
-"""Thickness of the surface that "auto" looks for: a share of the scene's disparities, and at least so many px."""
-SUBJECT_SHARE = 0.12
-"""A surface that fills so much of the middle is large enough to be the subject."""
-SUBJECT_ENDS = 0.02
-"""Of the subject, at either end of its depth, that may be blurred: mistakes."""
-_SLAB_STEPS = 8
-_SAMPLED_PX = 1 << 20
-_MIDDLE = 12
-"""The middle fades out from the centre as ``exp(-12 r^2)``, r from 0 to 1 at the sides: about their inner half."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +58,7 @@ def find_focus(
         disparity_px: (H, W) float32, px, on the tele photo.
         confidence: (H, W) float32 in [0, 1].
         focus: "X,Y", a point of the tele photo in px; "2.5m", a distance along the optical axis; "near" or "far", the
-            nearest or farthest confident surface; "auto", the nearest surface that fills an eighth of the middle of the
-            photo, or else its largest one, unless a large thing stands before it; sharp in its whole depth.
+            nearest or farthest confident surface; "auto", the subject, sharp in its whole depth.
         disparity_at_m: tells the disparity at a distance, px; None where metres are not known.
 
     Returns:
@@ -188,61 +176,7 @@ def _placed(disparity_px: FloatMap, trusted: BoolMap, focus_px: float) -> Focus:
 
 
 def _on_subject(disparity_px: FloatMap, trusted: BoolMap, confidence: FloatMap) -> Focus:
-    """Nearest slab that holds enough of the middle of the photo, or the fullest, unless a thing stands before it."""
-    whole_px, all_trusted = disparity_px, trusted
-    step = max(round(math.sqrt(disparity_px.size / _SAMPLED_PX)), 1)
-    sampled = (slice(step // 2, None, step), slice(step // 2, None, step))
-    disparity_px, trusted, confidence = disparity_px[sampled], trusted[sampled], confidence[sampled]
-    if not trusted.any():
-        disparity_px, trusted, confidence = whole_px, all_trusted, np.ones(whole_px.shape, np.float32)
-    weight = np.where(trusted, np.maximum(confidence, 1e-3), 0)
-    height, width = disparity_px.shape
-    y, x = np.linspace(-1, 1, height)[:, None], np.linspace(-1, 1, width)[None]
-    central = weight * np.exp(-_MIDDLE * (x**2 + y**2))
-    value_px, share = disparity_px[weight > 0].astype(np.float64), central[weight > 0].astype(np.float64)
-    far_px, near_px = np.percentile(value_px, (OUTLIER_PERCENT, 100 - OUTLIER_PERCENT))
-    inside = (value_px >= far_px) & (value_px <= near_px)
-    value_px, share = value_px[inside], share[inside]
-    slab_px = max(SLAB_SHARE * (near_px - far_px), SLAB_MIN_PX)
-    start_px = _nearest_slab(value_px - far_px, share / share.sum(), slab_px=slab_px) + far_px
-    in_slab = (value_px >= start_px) & (value_px <= start_px + slab_px)
-    farthest_px, middle_px, nearest_px = _weighted_quantiles(
-        value_px[in_slab], share[in_slab], quantiles=(SUBJECT_ENDS, 0.5, 1 - SUBJECT_ENDS)
-    )
-    thing = nearest_thing(disparity_px, weight, before_px=nearest_px, slab_px=slab_px)
-    if thing is not None:
-        beyond = trusted[thing] & (disparity_px[thing] > nearest_px)
-        farthest_px, middle_px, nearest_px = _of_thing(disparity_px[thing][beyond].astype(np.float64), slab_px=slab_px)
-        rows, columns = (slice(side.start * step, side.stop * step) for side in thing)
-        there = np.zeros_like(all_trusted)
-        there[rows, columns] = all_trusted[rows, columns]
-        all_trusted = there
-    return replace(_placed(whole_px, all_trusted, middle_px), sharp_px=(farthest_px, nearest_px))
-
-
-def _of_thing(value_px: FloatArray, *, slab_px: float) -> list[float]:
-    """Farthest, middle and nearest disparity of a thing, by the fullest slab of its box."""
-    ordered_px = np.sort(value_px)
-    held = np.searchsorted(ordered_px, ordered_px + slab_px, side="right") - np.arange(len(ordered_px))
-    first = int(held.argmax())
-    own_px = ordered_px[first : first + int(held[first])]
-    return _weighted_quantiles(own_px, np.ones(len(own_px)), quantiles=(SUBJECT_ENDS, 0.5, 1 - SUBJECT_ENDS))
-
-
-def _nearest_slab(value_px: FloatArray, share: FloatArray, *, slab_px: float) -> float:
-    """Far side of the slab of :func:`_on_subject`."""
-    step_px = slab_px / _SLAB_STEPS
-    histogram = np.bincount((value_px / step_px).astype(np.int64), weights=share)
-    held = np.convolve(histogram, np.ones(_SLAB_STEPS))[_SLAB_STEPS - 1 :]  # by slab, named by its farthest step
-    large = np.flatnonzero(held >= SUBJECT_SHARE)
-    first = int(large[-1]) if len(large) else int(held.argmax())
-    nearest = first
-    while len(large) and first > max(nearest - _SLAB_STEPS, 0) and held[first - 1] > held[first]:
-        first -= 1  # the whole surface, not its near side alone; but no other one, at the far end of the ground
-    return first * step_px
-
-
-def _weighted_quantiles(values: FloatArray, weights: FloatArray, *, quantiles: tuple[float, ...]) -> list[float]:
-    order = np.argsort(values)
-    passed = np.cumsum(weights[order])
-    return [float(values[order][np.searchsorted(passed, share * passed[-1])]) for share in quantiles]
+    """The middle of the subject's depth, all of which is sharp."""
+    subject = find_subject(disparity_px, trusted, confidence)
+    placed = _placed(disparity_px, subject.trusted, subject.middle_px)
+    return replace(placed, sharp_px=(subject.farthest_px, subject.nearest_px))

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from telewide.bokeh.focus import OUTLIER_PERCENT
 from telewide.bokeh.layers import FILL_PX
+from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.depth.edges import fill_unknown, nearest_known
 from telewide.geometry.arrays import FloatImage, FloatMap
 

@@ -14,9 +14,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
-from telewide.bokeh.focus import OUTLIER_PERCENT
 from telewide.bokeh.highlights import with_highlights
 from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
+from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.cores import usable_cores
 from telewide.depth.edges import fill_unknown
 from telewide.errors import InputError, UsageError
