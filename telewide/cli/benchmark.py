@@ -87,7 +87,7 @@ def middlebury(
     """Measure errors against known disparity, the second view made soft."""
     from telewide.benchmark.contenders import all_contenders
     from telewide.benchmark.datasets.protocols import find_protocol
-    from telewide.benchmark.middlebury import PROTOCOL, benchmark_middlebury, middlebury_table
+    from telewide.benchmark.middlebury_scores import PROTOCOL, benchmark_middlebury, middlebury_table
 
     splits = find_protocol(PROTOCOL).splits
     if split not in splits:

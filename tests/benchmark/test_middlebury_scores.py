@@ -11,7 +11,7 @@ import pytest
 from telewide.benchmark.contenders import semiglobal_contender
 from telewide.benchmark.datasets.middlebury import middlebury_2006_scenes
 from telewide.benchmark.datasets.protocols import find_protocol
-from telewide.benchmark.middlebury import (
+from telewide.benchmark.middlebury_scores import (
     PROTOCOL,
     benchmark_middlebury,
     middlebury_table,
