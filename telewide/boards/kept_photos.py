@@ -27,6 +27,8 @@ def grey_of(photo: FloatImage) -> ByteImage:
 class KeptPhotos:
     """Reads board photos, and keeps the first ones, grey and in colour, within a budget of memory.
 
+    Bytes do for boards and take a third of what `capture.photo_store` keeps, which must not round photos of 16 bits.
+
     Args:
         max_bytes: of all kept photos together.
     """
