@@ -33,7 +33,7 @@ def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) 
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is damaged, lacks one of them, holds objects, or claims more than it may.
+        InputError: it is corrupt, lacks one of them, holds objects, or claims more than it may.
     """
     try:
         with open_regular(path) as stream, open_archive(stream) as archive:
@@ -44,8 +44,8 @@ def read_npz(path: Path, names: Sequence[str], *, most_bytes: int = MOST_BYTES) 
             return tuple(_read_array(archive.open(entry), entry.file_size) for entry in entries)
     except (TelewideError, MemoryError):
         raise
-    except Exception as error:  # numpy and zipfile fail on damaged files in a dozen ways
-        raise InputError(f"{path} is damaged: {error}") from error
+    except Exception as error:  # numpy and zipfile fail on corrupt files in a dozen ways
+        raise InputError(f"{path} is corrupt: {error}") from error
 
 
 def names_in_npz(path: Path) -> frozenset[str]:
@@ -56,15 +56,15 @@ def names_in_npz(path: Path) -> frozenset[str]:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is damaged.
+        InputError: it is corrupt.
     """
     try:
         with open_regular(path) as stream, open_archive(stream) as archive:
             return frozenset(name.removesuffix(".npy") for name in archive.namelist())
     except (TelewideError, MemoryError):
         raise
-    except Exception as error:  # zipfile fails on damaged files in several ways
-        raise InputError(f"{path} is damaged: {error}") from error
+    except Exception as error:  # zipfile fails on corrupt files in several ways
+        raise InputError(f"{path} is corrupt: {error}") from error
 
 
 def read_npy(path: Path, *, most_bytes: int = MOST_BYTES) -> NDArray[np.generic]:
@@ -79,15 +79,15 @@ def read_npy(path: Path, *, most_bytes: int = MOST_BYTES) -> NDArray[np.generic]
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is damaged, holds objects, or is larger than it may be.
+        InputError: it is corrupt, holds objects, or is larger than it may be.
     """
     data = read_regular(path, most_bytes=most_bytes)
     try:
         return _read_array(io.BytesIO(data), len(data))
     except MemoryError:
         raise
-    except Exception as error:  # numpy fails on damaged files in a dozen ways
-        raise InputError(f"{path} is damaged: {error}") from error
+    except Exception as error:  # numpy fails on corrupt files in a dozen ways
+        raise InputError(f"{path} is corrupt: {error}") from error
 
 
 def _read_array(stream: IO[bytes], n_bytes: int) -> NDArray[np.generic]:

@@ -36,7 +36,7 @@ MAX_JSON_BYTES, MAX_JSON_VALUES = 1 << 24, 1 << 20
 _LARGEST_WHOLE = 1 << 63
 _TOO_DEEP = f"it is nested deeper than {MAX_DEPTH} levels"
 
-# Python keeps a byte of a file name that is no UTF-8 as half a surrogate pair, which pydantic takes for damaged JSON:
+# Python keeps a byte of a file name that is no UTF-8 as half a surrogate pair, which pydantic takes for corrupt JSON:
 # while it is checked, such a byte is a character of private use.
 _PRIVATE = {0xDC00 + byte: 0xF700 + byte for byte in range(0x80, 0x100)}
 _BYTES = {private: surrogate for surrogate, private in _PRIVATE.items()}

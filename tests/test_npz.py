@@ -54,14 +54,14 @@ def test_a_small_file_that_claims_much_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_header_that_cannot_be_believed_is_refused(tmp_path: Path, header: str) -> None:
-    with pytest.raises(InputError, match=r"x\.npz is damaged"):
+    with pytest.raises(InputError, match=r"x\.npz is corrupt"):
         read_npz(with_header(tmp_path / "x.npz", header), ("a",))
 
 
 @pytest.mark.parametrize("content", [b"", b"garbage" * 100, b"PK\x03\x04" + bytes(100), b"PK\x05\x06" + bytes(18)])
 def test_garbage_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.npz").write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.npz is damaged"):
+    with pytest.raises(InputError, match=r"x\.npz is corrupt"):
         read_npz(tmp_path / "x.npz", ("a",))
 
 

@@ -261,7 +261,7 @@ class TestNothingIsDoneTwice:
         assert (tmp_path / "run" / "train" / "weights.safetensors").read_bytes() == weights
         assert run_cli("depth", str(simulated), "--run", str(tmp_path / "run"), "--bokeh", "--quiet") == 0
 
-    def test_a_damaged_or_foreign_record_is_made_again(self, tmp_path: Path) -> None:
+    def test_a_corrupt_or_foreign_record_is_made_again(self, tmp_path: Path) -> None:
         kept = KeptDepth(("disparity.pfm",), ("a note",), {"matches": 7.0, "off_1px": float("nan")})
         (tmp_path / "disparity.pfm").write_bytes(b"whole")
         key: Mapping[str, object] = {"matcher": "sgm", "window": (0, 32)}

@@ -42,7 +42,7 @@ def all_contenders(sources: Sequence[Path], *, device: Device) -> list[Matcher]:
 
     Raises:
         UsageError: a path that does not exist, or a run without weights.
-        InputError: a damaged weights file.
+        InputError: a corrupt weights file.
     """
     found = [semiglobal_contender()]
     for source, label in zip(sources, source_labels(sources), strict=True):

@@ -75,7 +75,7 @@ def read_lens_truths(captures_root: Path, name: str) -> tuple[LensTruth, ...]:
         name: of the capture.
 
     Raises:
-        InputError: one is damaged.
+        InputError: one is corrupt.
     """
     folder = captures_root.parent / "truth" / name
     truths = []

@@ -55,7 +55,7 @@ _LASTING_SPACES = {
 _FALSE_OF_XMP = {f"{{{_LASTING_SPACES['xmp']}}}Thumbnails"}
 _SPELLED = {**_LASTING_SPACES, "rdf": _RDF, "x": _META, "xmpMM": _HISTORY, "stEvt": _EVENT}
 _BEGIN = '<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>\n'
-_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
+_READ_ERRORS = (OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def read_carried(path: Path) -> CarriedFacts:
     """Read what a photo says of itself that will hold of a picture made from it.
 
     Args:
-        path: a photo; of one that is damaged, what can be read.
+        path: a photo; of one that is corrupt, what can be read.
 
     Raises:
         UsageError: there is no such file.
@@ -126,7 +126,7 @@ def read_carried(path: Path) -> CarriedFacts:
     kind = format_by_head(path, read_bytes(path, at_most=HEAD_BYTES))
     with open_regular(path) as stream, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
-        with suppress(*_DAMAGES):
+        with suppress(*_READ_ERRORS):
             if kind in {"RAW", "TIFF"}:
                 return _carried_of_tiff(stream)
             with open_photo(path, stream, kind) as photo:
@@ -191,7 +191,7 @@ def _as_packet(xmp: object) -> bytes:
 
 
 def _writable(tags: Mapping[int, object], directory: int | None = None) -> dict[int, object]:
-    """Leave out what no EXIF can hold: a damaged value is found when it is written."""
+    """Leave out what no EXIF can hold: a corrupt value is found when it is written."""
     kept = {}
     for tag, value in tags.items():
         exif = Image.Exif()

@@ -40,7 +40,7 @@ _FARTHEST_M = 10_000.0
 _MOST_DIGITS, _LONGEST_TEXT = 9, 100
 _INFINITY = 0xFFFFFFFF
 _SAME_SHAPE = 0.02
-_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
+_READ_ERRORS = (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError, Image.DecompressionBombError)
 _KINDS = {"JPEG": "jpeg", "WEBP": "jpeg", "HEIF": "jpeg", "AVIF": "jpeg", "PNG": "png", "TIFF": "tiff", "RAW": "raw"}
 
 UPRIGHT_DEG: Mapping[int, int] = {1: 0, 6: 90, 3: 180, 8: 270}
@@ -221,8 +221,8 @@ def _spoken(kind: str) -> str:
 
 
 def _tags_of_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> tuple[Tags, tuple[int, int] | None]:
-    """Return the tags and the stored height and width; nothing where the photo is damaged."""
-    with warnings.catch_warnings(), suppress(*_DAMAGES):
+    """Return the tags and the stored height and width; nothing where the photo is corrupt."""
+    with warnings.catch_warnings(), suppress(*_READ_ERRORS):
         warnings.simplefilter("ignore")  # Pillow's remarks on odd EXIF
         with open_photo(path, stream, kind) as photo:
             exif = exif_of(photo, stream=stream)

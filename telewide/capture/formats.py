@@ -53,8 +53,8 @@ TAG_OPCODES = {1: 51008, 2: 51009, 3: 51022}
 """Lists of corrections of a DNG, by their number."""
 
 _PACKED = {"JPEG", "WEBP", "HEIF", "AVIF"}
-# What parsing a damaged file can raise.
-_DAMAGES = (ValueError, OSError, IndexError, KeyError, TypeError, AttributeError, ZeroDivisionError, OverflowError)
+# What parsing a corrupt file can raise.
+_READ_ERRORS = (ValueError, OSError, IndexError, KeyError, TypeError, AttributeError, ZeroDivisionError, OverflowError)
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -156,7 +156,7 @@ def open_tiff(stream: BinaryIO) -> Iterator[tifffile.TiffFile]:
         # Files of microscopes and scanners are walked through in ways of their own.
         with tifffile.TiffFile(stream, is_lsm=False, is_scanimage=False, is_ndpi=False) as tiff:
             yield tiff
-    except (tifffile.TiffFileError, struct.error, *_DAMAGES) as error:
+    except (tifffile.TiffFileError, struct.error, *_READ_ERRORS) as error:
         raise InputError(f"not built like a TIFF: {error}") from error
     finally:
         remarks.disabled = was_disabled
@@ -191,4 +191,4 @@ def _is_dng(data: bytes) -> bool:
         with open_tiff(BytesIO(data)) as tiff:
             return TAG_DNG_VERSION in tiff.pages.first.tags
     except InputError:
-        return False  # damaged: its decoder says so in its own words
+        return False  # corrupt: its decoder says so in its own words

@@ -48,7 +48,7 @@ def read_image(path: Path, *, is_converted: bool = True) -> FloatImage:
 
     Raises:
         UsageError: there is no such file.
-        InputError: the file is empty, cut off, damaged, or of another format.
+        InputError: the file is empty, cut off, corrupt, or of another format.
         MissingPartError: a HEIC photo without the extra that reads it.
     """
     data, kind = read_photo(path)
@@ -68,9 +68,9 @@ def _decoded(path: Path, data: bytes, kind: PhotoFormat, *, is_converted: bool) 
             samples, orientation = _decode(path, data, kind, is_converted=is_converted)
     except (TelewideError, MemoryError):
         raise
-    except Exception as error:  # the decoders fail on damaged files in a dozen ways
+    except Exception as error:  # the decoders fail on corrupt files in a dozen ways
         raise InputError(
-            f"{path} cannot be read as an image, it is cut off or damaged: {_reason(error)}",
+            f"{path} cannot be read as an image, it is cut off or corrupt: {_reason(error)}",
             hint="copy the file again from the phone",
         ) from error
     scale = np.float32(1 / 65535 if samples.dtype == np.uint16 else 1 / 255)

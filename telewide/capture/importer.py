@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from telewide.capture.damage import why_damaged
+from telewide.capture.corrupt import why_corrupt
 from telewide.capture.exif import PhotoFacts, read_photo_facts
 from telewide.capture.facts import FACTS_FILE
 from telewide.capture.formats import PHOTO_SUFFIXES, RAW_SUFFIXES
@@ -117,14 +117,14 @@ def plan_import(dcim: Path, captures: Path, *, choice: LensChoice, tick: Tick | 
     """
     _check_folders(dcim, captures)
     files, unread = _photo_files(dcim, captures)
-    photos, damaged = _read_roll(files, tick)
+    photos, corrupt = _read_roll(files, tick)
     lying = visible_entries(captures) if is_folder(captures) else []
     imported = _imported(lying)
     known = {photo.path: name for photo in photos for key in _keys(photo) if (name := imported.get(key))}
     roll = _pair_whole(photos, choice, frozenset(known))
     taken = {*_TAKEN_NAMES, *(entry.name.casefold() for entry in lying)}
     planned = tuple(PlannedPair(_free_name(pair.tele.path, taken), pair) for pair in roll.pairs)
-    unpaired = sorted([*roll.unpaired, *unread, *damaged], key=lambda one: one.photo.path)
+    unpaired = sorted([*roll.unpaired, *unread, *corrupt], key=lambda one: one.photo.path)
     return ImportPlan(planned, tuple(unpaired), tuple(sorted(set(known.values()))), roll.lenses)
 
 
@@ -219,7 +219,7 @@ def _read_roll(files: Sequence[Path], tick: Tick | None) -> tuple[list[RollPhoto
     for done, path in enumerate(files, start=1):
         try:
             photo = RollPhoto(path, read_photo_facts(path))
-            if photo.facts.hw is None and (reason := why_damaged(path, photo.facts)):
+            if photo.facts.hw is None and (reason := why_corrupt(path, photo.facts)):
                 unread.append(Unpaired(photo, reason))
             else:
                 photos.append(photo)
@@ -233,19 +233,19 @@ def _read_roll(files: Sequence[Path], tick: Tick | None) -> tuple[list[RollPhoto
 
 
 def _pair_whole(photos: Sequence[RollPhoto], choice: LensChoice, known: frozenset[Path]) -> PairedRoll:
-    """Pair photos whose files are whole; a damaged one leaves its place to the next."""
+    """Pair photos whose files are whole; a corrupt one leaves its place to the next."""
     whole: set[Path] = set()
-    damaged: list[Unpaired] = []
+    corrupt: list[Unpaired] = []
     candidates = list(photos)
     while True:
         roll = pair_photos(candidates, choice=choice, known=known)
         chosen = [photo for pair in roll.pairs for photo in (pair.tele, pair.wide) if photo.path not in whole]
-        found = [Unpaired(one, reason) for one in chosen if (reason := why_damaged(one.path, one.facts))]
+        found = [Unpaired(one, reason) for one in chosen if (reason := why_corrupt(one.path, one.facts))]
         if not found:
-            return dataclasses.replace(roll, unpaired=(*roll.unpaired, *damaged))
-        damaged += found
+            return dataclasses.replace(roll, unpaired=(*roll.unpaired, *corrupt))
+        corrupt += found
         whole |= {one.path for one in chosen}
-        lost = {one.photo.path for one in damaged}
+        lost = {one.photo.path for one in corrupt}
         candidates = [photo for photo in candidates if photo.path not in lost]
 
 

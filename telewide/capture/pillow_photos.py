@@ -41,7 +41,7 @@ def open_photo(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
     Raises:
         MissingPartError: HEIC, and the extra is not installed.
         InputError: its size cannot be believed; AVIF, and this Pillow cannot read it.
-        OSError: damaged.
+        OSError: corrupt.
         ValueError: no picture begins where one should.
     """
     if kind == "HEIF":
@@ -68,7 +68,7 @@ def load_photo(photo: Image.Image) -> None:
         photo: as :func:`open_photo` returned it.
 
     Raises:
-        Exception: damaged, in a dozen ways; a tile of a TIFF is larger than any photo.
+        Exception: corrupt, in a dozen ways; a tile of a TIFF is larger than any photo.
     """
     with _limit_of_pillow(MAX_PIXELS // 2):  # it warns of more, and refuses twice as many
         photo.load()
@@ -92,7 +92,7 @@ def exif_of(photo: Image.Image, *, stream: BinaryIO | None = None) -> Image.Exif
         stream: its file, where it has not been decoded: Pillow would decode a PNG to look for EXIF behind the pixels.
 
     Raises:
-        Exception: damaged EXIF, in a dozen ways.
+        Exception: corrupt EXIF, in a dozen ways.
     """
     if photo.format == "PNG" and stream is not None and (found := exif_of_png(stream, most_bytes=_MOST_EXIF_BYTES)):
         photo.info["exif"] = found

@@ -91,7 +91,7 @@ def read_raw(path: Path, *, is_half_size: bool = False) -> RawPhoto:
 
     Raises:
         UsageError: there is no such file.
-        InputError: the file is damaged or no RAW that is known.
+        InputError: the file is corrupt or no RAW that is known.
     """
     return develop(path, read_bytes(path), is_half_size=is_half_size)
 
@@ -132,7 +132,7 @@ def develop(path: Path, data: bytes, *, is_half_size: bool = False) -> RawPhoto:
             linear = _demosaiced(raw, facts, white=white, is_half_size=is_half_size)
     except (InputError, MemoryError):
         raise
-    except Exception as error:  # LibRaw fails on damaged files in a dozen ways
+    except Exception as error:  # LibRaw fails on corrupt files in a dozen ways
         raise InputError(
             f"{path} cannot be developed as a RAW photo: {_reason(error)}",
             hint="copy the file again from the phone, or export it as an uncompressed DNG or a TIFF",

@@ -1,6 +1,6 @@
 """Sizes of photos: the largest, and the one each is read in.
 
-Phones make up to 200 megapixels. A larger size than `MAX_PIXELS` is taken for a damaged or malicious header and refused
+Phones make up to 200 megapixels. A larger size than `MAX_PIXELS` is taken for a corrupt or malicious header and refused
 before anything is decoded. A photo of more than `MAX_WHOLE_PIXELS` is read at half its size, to keep memory bounded;
 all that is computed from it has that size. Letters: H W image; C channels.
 """

@@ -55,7 +55,7 @@ def read_tags(stream: BinaryIO, wanted: Collection[int]) -> dict[int, object]:
 
     Returns:
         Values by number: bytes of a text, a number, or a tuple; a fraction is its numerator and denominator. Tags that
-        are longer than a text of EXIF are left out, and what follows where the file is damaged.
+        are longer than a text of EXIF are left out, and what follows where the file is corrupt.
     """
     tags: dict[int, object] = {}
     try:

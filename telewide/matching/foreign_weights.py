@@ -35,7 +35,7 @@ def read_tensors(path: Path) -> dict[str, Tensor]:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is no checkpoint, is damaged, or holds more than tensors and plain data.
+        InputError: it is no checkpoint, is corrupt, or holds more than tensors and plain data.
     """
     if not is_file(path):
         raise UsageError(f"{path}: no such weights file")
@@ -53,7 +53,7 @@ def _load_plain(path: Path) -> object:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of torch, about formats of its own past
             return cast(object, torch.load(path, map_location="cpu", weights_only=True))
-    except Exception as error:  # torch and pickle fail on damaged and unsafe files in a dozen ways
+    except Exception as error:  # torch and pickle fail on corrupt and unsafe files in a dozen ways
         raise _not_weights(path) from error
 
 
@@ -111,6 +111,6 @@ def _first_names(names: list[str], prefix: str) -> str:
 
 def _not_weights(path: Path) -> InputError:
     return InputError(
-        f"{path} is no checkpoint that can be read safely, or is damaged",
+        f"{path} is no checkpoint that can be read safely, or is corrupt",
         hint="it should hold tensors and plain data only; one with more can be saved again as safetensors",
     )

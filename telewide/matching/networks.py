@@ -193,7 +193,7 @@ def published_psmnet(path: Path) -> StereoNetwork:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is damaged, or holds something else.
+        InputError: it is corrupt, or holds something else.
     """
     features, matching = PublishedPsmnetFeatures(), PsmnetFullMatching(is_published=True)
     load_published_psmnet(features, matching, path)

@@ -206,7 +206,7 @@ def load_published_psmnet(features: nn.Module, matching: nn.Module, path: Path) 
         path: a ``.tar`` of their training, or the same tensors as safetensors; nothing in it is executed.
 
     Raises:
-        InputError: the file is damaged, or its names or shapes are not those of PSMNet.
+        InputError: the file is corrupt, or its names or shapes are not those of PSMNet.
     """
     tensors = read_tensors(path)
     own = {key.removeprefix(FEATURES_PREFIX): value for key, value in tensors.items() if _is_of_features(key)}

@@ -91,7 +91,7 @@ def build_restorer(name: str, *, factor: int, weights: Path | None = None, seed:
 
     Raises:
         UsageError: unknown name, a factor that it has no layout for, or no such file.
-        InputError: the file is damaged, or holds something else.
+        InputError: the file is corrupt, or holds something else.
     """
     if name not in RESTORERS:
         raise UsageError(f"unknown restorer {name!r}", hint=f"known restorers: {', '.join(RESTORERS)}")

@@ -93,7 +93,7 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
         weights: a weights file; its size, window and correction of the pairs take precedence over the run's.
 
     Raises:
-        InputError: the run's record or the weights file is damaged.
+        InputError: the run's record or the weights file is corrupt.
     """
     recipe = _recipe_of_run(run, captures_root)
     if weights is None or not is_file(weights):

@@ -108,7 +108,7 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     """
     try:
         record = read_record(folder / KEPT_NAME, KeptRecord)
-    except TelewideError:  # not there, or damaged: it is made again
+    except TelewideError:  # not there, or corrupt: it is made again
         return None
     is_same = record.format == FORMAT and record.key == as_read(key)
     if not is_same or not all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items()):
@@ -133,7 +133,7 @@ def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None
             return None
         if not is_file(folder / NPZ_NAME) or fingerprint(folder / NPZ_NAME) != sha256:
             return None
-    except TelewideError:  # not there, or damaged: it is made again
+    except TelewideError:  # not there, or corrupt: it is made again
         return None
     is_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())
     return replace(_as_kept(record), is_whole=is_whole)

@@ -114,7 +114,7 @@ def read_kept(
         valid_paths = None if rig is None else (folder / VALID_NAMES[0], folder / VALID_NAMES[1])
         corrected = Capture(capture.name, folder / "tele.png", folder / "wide.png", valid_paths=valid_paths)
         _check_size(capture, corrected, alignment, working_width_px=recipe.working_width_px)
-    except (TelewideError, ValueError, KeyError, ArithmeticError):  # damaged: it is made again
+    except (TelewideError, ValueError, KeyError, ArithmeticError):  # corrupt: it is made again
         return None
     held_out = HeldOut(corrected, ref_px, ref_px[:, 0] - src_px[:, 0])
     return PreparedPair(

@@ -157,7 +157,7 @@ def write_run_record(
 
 
 def _read_record(path: Path) -> dict[str, object]:
-    """Return the record so far; a damaged one is started anew: a finished run must not fail because of it."""
+    """Return the record so far; a corrupt one is started anew: a finished run must not fail because of it."""
     if not is_there(path):
         return {}
     try:

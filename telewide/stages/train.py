@@ -166,10 +166,10 @@ def _take_up(
 ) -> tuple[TrainingRecord, TrainingState]:
     """The training that lies in a run folder, and what is new to it; or a new one."""
     run, anew = call.folder, call.invocation.instead("train", fresh=True)
-    with _damage_told(anew):
+    with _starting_over_told(anew):
         kept = read_training(run)
     record = agreed_record(kept, prepared, call.recipe, anew=anew)
-    with _damage_told(anew):
+    with _starting_over_told(anew):
         state = state_for(run, call.recipe, device)
     if kept is not None and state.step + state.stage_index > 0:
         grown, changed = sorted(set(record.captures) - set(kept.captures)), kept.changed_in(record)
@@ -183,7 +183,7 @@ def _take_up(
 
 
 @contextmanager
-def _damage_told(anew: str) -> Iterator[None]:
+def _starting_over_told(anew: str) -> Iterator[None]:
     """Add the command that starts over to the error of a file that cannot be read."""
     try:
         yield

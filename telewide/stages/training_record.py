@@ -60,7 +60,7 @@ def read_training(run: RunFolder) -> TrainingRecord | None:
     """The record of the training in a run folder, or None where there is none.
 
     Raises:
-        InputError: the file is damaged.
+        InputError: the file is corrupt.
     """
     path = run.training_record
     if not is_there(path):
@@ -68,7 +68,7 @@ def read_training(run: RunFolder) -> TrainingRecord | None:
     try:
         record = read_record(path, TrainingRecord)
     except InputError as error:
-        raise InputError(f"{path} is damaged") from error
+        raise InputError(f"{path} is corrupt") from error
     # Older versions did not write who judges.
     return record if record.judged else record.model_copy(update={"judged": record.held_out or record.captures})
 

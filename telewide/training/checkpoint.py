@@ -114,7 +114,7 @@ def new_state(network_name: str, *, seed: int, device: torch.device, weights: Pa
 
     Raises:
         UsageError: the file holds another network.
-        InputError: the file is missing or damaged.
+        InputError: the file is missing or corrupt.
     """
     network = build_network(network_name, seed=seed).to(device)
     if weights is not None:
@@ -164,7 +164,7 @@ def load_state(
 
     Raises:
         UsageError: there is no such file.
-        InputError: the file is damaged, of another network, or of another plan.
+        InputError: the file is corrupt, of another network, or of another plan.
     """
     refuse_strange_file(path)
     try:
@@ -188,9 +188,9 @@ def load_state(
         state.best = None if content["best"] is None else _best_weights(state, content["best"])
         if plan is not None:
             _check_place(state, plan)
-    except Exception as error:  # torch and pickle fail on damaged files in a dozen ways
+    except Exception as error:  # torch and pickle fail on corrupt files in a dozen ways
         raise InputError(
-            f"{path} is not a checkpoint of this {network_name} training, or is damaged",
+            f"{path} is not a checkpoint of this {network_name} training, or is corrupt",
             hint="train again, from the start or in another run folder",
         ) from error
     return state
@@ -328,7 +328,7 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
 
     Raises:
         UsageError: there is no such file.
-        InputError: the file is damaged, or holds something else.
+        InputError: the file is corrupt, or holds something else.
     """
     card = read_card(path)
     try:
@@ -348,7 +348,7 @@ def read_card(path: Path) -> WeightsCard:
 
     Raises:
         UsageError: there is no such file.
-        InputError: the file is damaged, or holds something else.
+        InputError: the file is corrupt, or holds something else.
     """
     with open_regular(path) as stream:
         header_bytes = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
@@ -366,4 +366,4 @@ def read_card(path: Path) -> WeightsCard:
 
 
 def _no_weights(path: Path) -> InputError:
-    return InputError(f"{path} is no weights file of telewide, or is damaged", hint="train a network to make one")
+    return InputError(f"{path} is no weights file of telewide, or is corrupt", hint="train a network to make one")

@@ -121,7 +121,7 @@ def test_pictures_of_every_focus_and_aperture_are_scored_by_own_and_by_true_dept
     assert all(float(cost) > 0 for cost in costs[-1][1:])
 
 
-def test_a_damaged_truth_is_named(tmp_path: Path) -> None:
+def test_a_corrupt_truth_is_named(tmp_path: Path) -> None:
     captures, truth = tmp_path / "captures", tmp_path / "truth" / "000"
     assert read_lens_truths(captures, "000") == ()
     truth.mkdir(parents=True)

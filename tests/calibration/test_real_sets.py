@@ -68,7 +68,7 @@ def halved(path: Path, to: Path) -> Path:
 
 @pytest.mark.slow
 def test_one_camera_at_half_its_size(opencv: Calibration, data_root: Path, tmp_path: Path) -> None:
-    """The focal ratio is told, and the boards stand where the undamaged set puts them."""
+    """The focal ratio is told, and the boards stand where the set at full size puts them."""
     folder = data_root / "calib_stereo_opencv"
     names = [view.shot for view in opencv.views if view.camera == "tele"]
     shots = [

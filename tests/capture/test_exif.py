@@ -206,7 +206,7 @@ def test_real_raw(data_root: Path) -> None:
 
 @pytest.mark.parametrize("place", ["before the pixels", "behind the pixels"])
 def test_exif_of_a_png_is_found_without_decoding_it(tmp_path: Path, place: str) -> None:
-    """As exiftool and others write it; the pixels are damaged, so that whoever decodes them finds nothing."""
+    """As exiftool and others write it; the pixels are corrupt, so that whoever decodes them finds nothing."""
     exif = Image.Exif()
     exif[271], exif[274] = "Maker", 6
     Image.new("RGB", (64, 48)).save(tmp_path / "a.png", exif=exif)
@@ -217,7 +217,7 @@ def test_exif_of_a_png_is_found_without_decoding_it(tmp_path: Path, place: str) 
     split = 33 if place == "before the pixels" else len(rest) - 12
     content = rest[:split] + chunk + rest[split:]
     pixels = content.index(b"IDAT")
-    (tmp_path / "a.png").write_bytes(content[: pixels + 6] + b"damaged!" + content[pixels + 14 :])
+    (tmp_path / "a.png").write_bytes(content[: pixels + 6] + b"corrupt!" + content[pixels + 14 :])
     facts = read_photo_facts(tmp_path / "a.png")
     assert (facts.make, facts.orientation, facts.hw) == ("Maker", 6, (64, 48))
 

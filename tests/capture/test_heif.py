@@ -64,9 +64,9 @@ def test_the_content_counts_not_the_suffix(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("heif")
-def test_a_damaged_heic(tmp_path: Path) -> None:
+def test_a_corrupt_heic(tmp_path: Path) -> None:
     (tmp_path / "a.heic").write_bytes(HEIC)
-    with pytest.raises(InputError, match="cut off or damaged"):
+    with pytest.raises(InputError, match="cut off or corrupt"):
         read_image(tmp_path / "a.heic")
 
 

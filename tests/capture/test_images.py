@@ -1,4 +1,4 @@
-"""Pictures: against Pillow, OpenCV and closed forms; every kind of file a phone or an editor writes; damaged ones."""
+"""Pictures: against Pillow, OpenCV and closed forms; every kind of file a phone or an editor writes; corrupt ones."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ def test_a_missing_file(tmp_path: Path) -> None:
     [
         ("a.png", b"", "is empty"),
         ("a.jpg", b"hello", "no photo that can be read"),
-        ("a.jpg", b"\xff\xd8\xff", "cut off or damaged"),
+        ("a.jpg", b"\xff\xd8\xff", "cut off or corrupt"),
         ("a.dng", b"II*\0", "cannot be developed as a RAW photo"),
         ("a.NEF", b"hello", "cannot be developed as a RAW photo"),
         ("a.webp", b"RIFF\0\0\0\0WEBP", "nothing in it can be recognised"),
@@ -318,18 +318,18 @@ def test_a_cut_off_photo(tmp_path: Path, kind: str) -> None:
     data, path = _encoded(kind), tmp_path / f"a.{kind[:3]}"
     for share in (0.01, 0.3, 0.6, 0.9):
         path.write_bytes(data[: max(8, int(len(data) * share))])
-        with pytest.raises(InputError, match="cut off or damaged"):
+        with pytest.raises(InputError, match="cut off or corrupt"):
             read_image(path)
 
 
 @pytest.mark.parametrize("kind", ["jpg", "png", "tif", "png16", "tif16"])
-def test_a_damaged_photo_is_read_or_refused(tmp_path: Path, kind: str) -> None:
+def test_a_corrupt_photo_is_read_or_refused(tmp_path: Path, kind: str) -> None:
     data, path, rng = _encoded(kind), tmp_path / f"a.{kind[:3]}", np.random.default_rng(1)
     for _ in range(40):
-        damaged = np.frombuffer(data, np.uint8).copy()
+        corrupt = np.frombuffer(data, np.uint8).copy()
         where = rng.integers(4, min(len(data), 400), 6)
-        damaged[where] = rng.integers(0, 256, 6)
-        path.write_bytes(damaged.tobytes())
+        corrupt[where] = rng.integers(0, 256, 6)
+        path.write_bytes(corrupt.tobytes())
         try:
             image = read_image(path)
         except InputError:

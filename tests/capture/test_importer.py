@@ -258,18 +258,18 @@ def test_a_photo_that_was_cut_off_is_said_to_be_and_is_not_imported(tmp_path: Pa
     assert planned(plan) == {"T": ("T.jpg", "W.jpg")}
     (left,) = plan.unpaired
     assert left.photo.path == cut
-    assert "cut off or damaged" in left.reason
+    assert "cut off or corrupt" in left.reason
     assert "focal length" not in left.reason
 
 
-def test_the_partner_of_a_damaged_photo_is_left_alone(tmp_path: Path) -> None:
+def test_the_partner_of_a_corrupt_photo_is_left_alone(tmp_path: Path) -> None:
     dcim = tmp_path / "DCIM"
     shoot(dcim, "T.jpg", TELE, 0)
     cut = shoot(dcim, "W.jpg", WIDE, 1)
     cut.write_bytes(cut.read_bytes()[:-400])
     plan = plan_import(dcim, tmp_path / "captures", choice=LensChoice())
     assert plan.pairs == ()
-    assert "damaged" in {one.photo.path.name: one.reason for one in plan.unpaired}["W.jpg"]
+    assert "corrupt" in {one.photo.path.name: one.reason for one in plan.unpaired}["W.jpg"]
     assert len(plan.unpaired) == 2
 
 

@@ -87,7 +87,7 @@ def test_both_views_with_the_same_pixels_in_different_files(tmp_path: Path) -> N
 def test_a_truncated_view_names_its_file(tmp_path: Path) -> None:
     capture = capture_of(tmp_path, noise((40, 60)), noise((40, 60), 1))
     capture.wide_path.write_bytes(capture.wide_path.read_bytes()[:500])
-    with pytest.raises(InputError, match=r"wide\.png cannot be read as an image, it is cut off or damaged"):
+    with pytest.raises(InputError, match=r"wide\.png cannot be read as an image, it is cut off or corrupt"):
         read_pair(capture)
 
 

@@ -25,7 +25,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from telewide.boards.shots import find_board_shots
 from telewide.capture import formats, sizes
-from telewide.capture.damage import why_damaged
+from telewide.capture.corrupt import why_corrupt
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.images import read_image
 from telewide.capture.importer import plan_import
@@ -121,7 +121,7 @@ def test_the_limit_of_pillow_is_not_that_of_photos(tmp_path: Path, monkeypatch: 
     Image.new("RGB", (64, 48)).save(tmp_path / name, **options)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
     assert read_image(tmp_path / name).shape == (48, 64, 3)
-    assert why_damaged(tmp_path / name, read_photo_facts(tmp_path / name)) is None
+    assert why_corrupt(tmp_path / name, read_photo_facts(tmp_path / name)) is None
     assert Image.MAX_IMAGE_PIXELS == 1000
 
 
@@ -380,7 +380,7 @@ def test_a_jpeg_of_more_scans_than_encoders_make_is_refused(tmp_path: Path) -> N
     path.write_bytes(progressive_jpeg(n_scans=65))
     with pytest.raises(InputError, match="more than 64 scans"):
         read_image(path)
-    assert why_damaged(path, read_photo_facts(path)) is not None
+    assert why_corrupt(path, read_photo_facts(path)) is not None
 
 
 def test_what_comes_before_the_pixels_has_an_end(tmp_path: Path) -> None:
@@ -403,7 +403,7 @@ def test_what_comes_before_the_pixels_has_an_end(tmp_path: Path) -> None:
             read_image(tmp_path / name)
         with bounded(seconds=2):
             assert read_photo_facts(tmp_path / name).hw is None
-            assert why_damaged(tmp_path / name, read_photo_facts(tmp_path / name)) is not None
+            assert why_corrupt(tmp_path / name, read_photo_facts(tmp_path / name)) is not None
     for name, content in (("b.jpg", jpeg[:2] + comment * 900 + jpeg[2:]), ("b.png", png[:33] + chunk * 900 + png[33:])):
         (tmp_path / name).write_bytes(content)
         assert read_image(tmp_path / name).shape == (48, 64, 3)

@@ -233,7 +233,7 @@ def test_a_training_of_another_recipe_is_answered_with_the_call_that_starts_over
     anew = f"start over: telewide train captures --out 'my run'{' --recipe quick' if 'quick' in words else ''} --seed 2"
     refused(capsys, *words, "--out", "my run", "--seed", "2", code=2, names=("another recipe", f"{anew} --fresh\n"))
     (Path("my run") / "train" / "training.json").write_text("{")
-    refused(capsys, *words, "--out", "my run", "--seed", "2", code=3, names=("damaged", f"{anew} --fresh\n"))
+    refused(capsys, *words, "--out", "my run", "--seed", "2", code=3, names=("corrupt", f"{anew} --fresh\n"))
     state_file = Path("my run") / "train" / "state.pt"
     state_file.write_bytes(b"torn")
     (Path("my run") / "train" / "training.json").unlink()

@@ -170,7 +170,7 @@ def test_maps_of_another_kind_are_refused_as_they_lie(tmp_path: Path, kind: obje
     """A gigabyte of single bytes would become four of real numbers."""
     maps = {"disparity": np.zeros(HW, kind), "confidence": np.zeros(HW, np.float32), "valid": np.zeros(HW, bool)}
     np.savez_compressed(tmp_path / "depth.npz", **maps)
-    with pytest.raises(InputError, match="is damaged: its maps are"):
+    with pytest.raises(InputError, match="is corrupt: its maps are"):
         read_disparity(tmp_path / "depth.npz")
 
 

@@ -85,7 +85,7 @@ def test_a_depth_that_cannot_be_read_leaves_its_picture_out_and_is_said(
     with caplog.at_level(logging.WARNING):
         row = report_row(PhotoPair("one", photo, photo), tmp_path, root=tmp_path, numbers={})
     assert [picture.label for picture in row.pictures] == ["wide", "tele"]
-    assert "depth.npz is damaged" in caplog.text
+    assert "depth.npz is corrupt" in caplog.text
 
 
 def test_curves_are_drawn_of_what_can_be_read(tmp_path: Path) -> None:

@@ -147,7 +147,7 @@ def test_the_call_that_is_advised_names_all_that_was_stated() -> None:
 
 
 @pytest.mark.parametrize("share", [0.02, 0.9])
-def test_a_damaged_photo_leaves_the_other_captures(
+def test_a_corrupt_photo_leaves_the_other_captures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], share: float
 ) -> None:
     """Cut off in its header, or in its pixels; the others are noise, in which nothing matches."""

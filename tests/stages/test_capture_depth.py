@@ -572,14 +572,14 @@ def test_another_photo_or_other_weights_match_again(capture: Capture, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda path: path.unlink(), lambda path: path.write_bytes(b"0" * path.stat().st_size)]
+    "spoil", [lambda path: path.unlink(), lambda path: path.write_bytes(b"0" * path.stat().st_size)]
 )
 def test_a_depth_that_is_no_longer_whole_is_matched_again(
-    capture: Capture, tmp_path: Path, damage: Callable[[Path], object]
+    capture: Capture, tmp_path: Path, spoil: Callable[[Path], object]
 ) -> None:
     folder, match = tmp_path / "run", Matching()
     made_again(capture, folder, match)
-    damage(folder / "depth.npz")
+    spoil(folder / "depth.npz")
     assert not made_again(capture, folder, match, bokeh=BokehOptions()).is_depth_kept
     assert match.calls == 2
 

@@ -125,7 +125,7 @@ def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
 
 
 @pytest.mark.parametrize(
-    ("name", "damage"),
+    ("name", "fault"),
     [
         ("tele.png", "cut"),
         ("wide.png", "flipped"),
@@ -135,18 +135,18 @@ def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
         ("tele.png", "gone"),
     ],
 )
-def test_kept_files_that_are_damaged_are_made_again(captures: Path, tmp_path: Path, name: str, damage: str) -> None:
+def test_kept_files_that_are_corrupt_are_made_again(captures: Path, tmp_path: Path, name: str, fault: str) -> None:
     run = tmp_path / "run"
     first = prepared(captures, run)
     path = run / "pairs" / first.pairs[0].capture.name / name
     whole = path.read_bytes()
-    if damage == "gone":
+    if fault == "gone":
         path.unlink()
-    elif damage == "flipped":
+    elif fault == "flipped":
         middle = len(whole) // 2
         path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 0xFF]) + whole[middle + 1 :])
     else:
-        path.write_bytes(whole[: len(whole) // 2 if damage == "cut" else 0])
+        path.write_bytes(whole[: len(whole) // 2 if fault == "cut" else 0])
     again = prepared(captures, run)
     assert again.problems == ()
     assert again.pairs[0].report == first.pairs[0].report
@@ -374,7 +374,7 @@ def test_labels_that_cannot_be_read_are_made_again(captures: Path, tmp_path: Pat
     write_labels(pairs, names=[name], window=(0, 32))
     path = labels_path(folder, window_px=(0, 32))
     whole = path.read_bytes()
-    for damaged in (b"garbage", whole[:-4], b"Pf\n1 1\n-1\n\0\0\0\0"):
-        path.write_bytes(damaged)
+    for corrupt in (b"garbage", whole[:-4], b"Pf\n1 1\n-1\n\0\0\0\0"):
+        path.write_bytes(corrupt)
         write_labels(pairs, names=[name], window=(0, 32))
         assert path.read_bytes() == whole

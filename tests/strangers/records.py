@@ -178,7 +178,7 @@ def texts(slip: str) -> dict[str, Plant]:
 
 
 SLIPPED = in_yaml(SLIPS)
-NO_STATE = "training, or is damaged"
+NO_STATE = "training, or is corrupt"
 NO_WEIGHTS = "is no weights file of telewide"
 
 RIGS = {
@@ -277,7 +277,7 @@ OF_WEIGHTS = (
 )
 OF_RECORDS = (
     Tried("100 000 brackets in pair.json, depth.json, run.json and log.jsonl", each(texts("[" * 100_000)), 0),
-    Tried("the same in training.json, run", one(written(TRAINING, "[" * 100_000), RUN), 3, "training.json is damaged"),
+    Tried("the same in training.json, run", one(written(TRAINING, "[" * 100_000), RUN), 3, "training.json is corrupt"),
     Tried(
         "the same in run.json and log.jsonl, run",
         each({place: written(place, "[" * 100_000) for place in ("run/run.json", LOG)}, RUN),

@@ -1,4 +1,4 @@
-"""Checkpoints and weights: nothing is lost on the way, and damaged, foreign or half-written files are refused."""
+"""Checkpoints and weights: nothing is lost on the way, and corrupt, foreign or half-written files are refused."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class _Bomb:
         return (Path.touch, (Path("exploded"),))
 
 
-def test_damaged_or_foreign_states_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corrupt_or_foreign_states_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "state.pt"
     save_state(new_state("lite", seed=1, device=CPU), path)
@@ -164,7 +164,7 @@ def test_equal_weights_are_equal_files(tmp_path: Path) -> None:
     assert all(torch.equal(tensor, network.state_dict()[name]) for name, tensor in load_file(path).items())
 
 
-def test_damaged_or_foreign_weights_are_refused(tmp_path: Path) -> None:
+def test_corrupt_or_foreign_weights_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "w.safetensors"
     save_weights(build_network("lite"), path, card=CARD)
     whole = path.read_bytes()

@@ -91,5 +91,5 @@ def _decoded(path: Path) -> NDArray[np.generic]:
     except cv2.error:
         levels = None
     if levels is None or levels.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{path} cannot be read as a picture of 8 or 16 bits; it is damaged or of another format")
+        raise InputError(f"{path} cannot be read as a picture of 8 or 16 bits; it is corrupt or of another format")
     return levels

@@ -39,14 +39,14 @@ def read_disparity(path: Path) -> DisparityMap:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is damaged, or of another kind.
+        InputError: it is corrupt, or of another kind.
     """
     maps = read_npz(path, tuple(_KINDS), most_bytes=_MOST_BYTES)
     disparity_px, confidence, valid = maps
     if [one.dtype for one in maps] != [*_KINDS.values()]:
-        raise InputError(f"{path} is damaged: its maps are {', '.join(str(one.dtype) for one in maps)}")
+        raise InputError(f"{path} is corrupt: its maps are {', '.join(str(one.dtype) for one in maps)}")
     if disparity_px.ndim != 2 or any(one.shape != disparity_px.shape for one in maps) or not disparity_px.size:
-        raise InputError(f"{path} is damaged: its maps are not of one size")
+        raise InputError(f"{path} is corrupt: its maps are not of one size")
     disparity_px, confidence = (one.astype(np.float32, copy=False) for one in (disparity_px, confidence))
     return DisparityMap(disparity_px, confidence, valid.astype(np.bool_, copy=False))
 
@@ -60,7 +60,7 @@ def read_result(path: Path, *, name: str) -> DepthResult:
 
     Raises:
         UsageError: there is no such file.
-        InputError: it is damaged, or of another kind.
+        InputError: it is corrupt, or of another kind.
     """
     disparity, lying = read_disparity(path), names_in_npz(path)
     hw = disparity.disparity_px.shape
@@ -70,13 +70,13 @@ def read_result(path: Path, *, name: str) -> DepthResult:
     }
     numbers = [stated[each] for each in ("K", "baseline_m", "doffs_px", "distortion")]
     if any(one is not None and one.dtype != np.float64 for one in numbers):
-        raise InputError(f"{path} is damaged: its camera is none")
+        raise InputError(f"{path} is corrupt: its camera is none")
     K, baseline_m, doffs_px, distortion = numbers
     maps_m = [stated["depth_m"], stated["depth_std_m"]]
     if any(one is not None and (one.shape != hw or one.dtype != np.float32) for one in maps_m):
-        raise InputError(f"{path} is damaged: its maps are not of one size")
+        raise InputError(f"{path} is corrupt: its maps are not of one size")
     if K is None or K.shape != (3, 3) or any(one is not None and one.size != 1 for one in (baseline_m, doffs_px)):
-        raise InputError(f"{path} is damaged: its camera is none")
+        raise InputError(f"{path} is corrupt: its camera is none")
     depth_m, std_m = (None if one is None else one.astype(np.float32, copy=False) for one in maps_m)
     return DepthResult(
         name=name,

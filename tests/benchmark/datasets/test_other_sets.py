@@ -136,7 +136,7 @@ def test_light_field_views_of_one_row(inria: Path) -> None:
 def test_arrays_of_objects_are_not_loaded(inria: Path) -> None:
     path = inria / "Black&white" / "disparity_5_5.npy"
     np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(InputError, match="is damaged"):
+    with pytest.raises(InputError, match="is corrupt"):
         read_inria(inria, "Black&white", views=(40, 41))
     np.save(path, np.zeros((3, *HW)))
     with pytest.raises(InputError, match="a map of numbers was expected"):

@@ -12,11 +12,11 @@ from telewide.capture.jpeg import has_too_many_scans
 from telewide.capture.pillow_photos import load_photo, open_photo
 from telewide.errors import InputError
 
-DAMAGED = "cannot be read: the file is cut off or damaged; copy it again from the phone"
+CORRUPT = "cannot be read: the file is cut off or corrupt; copy it again from the phone"
 _COARSE_PX = (16, 16)
 
 
-def why_damaged(path: Path, facts: PhotoFacts) -> str | None:
+def why_corrupt(path: Path, facts: PhotoFacts) -> str | None:
     """Tell what is wrong with the file of a photo.
 
     A JPEG is decoded, at an eighth of its size, which takes a fraction of the time; of other photos only what they
@@ -30,9 +30,9 @@ def why_damaged(path: Path, facts: PhotoFacts) -> str | None:
         What to tell its owner; None where nothing was found.
     """
     if facts.kind != "raw" and facts.hw is None:
-        return DAMAGED
+        return CORRUPT
     try:
-        return DAMAGED if facts.kind == "jpeg" and not _is_whole_jpeg(path) else None
+        return CORRUPT if facts.kind == "jpeg" and not _is_whole_jpeg(path) else None
     except InputError as error:
         return error.message.removeprefix(f"{path} ")
 
