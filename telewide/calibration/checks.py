@@ -16,6 +16,7 @@ from telewide.calibration.quality import (
     Check,
     at_least,
     at_most,
+    epipolar_percentiles_px,
     larger_than_usual,
     verdict_of,
 )
@@ -89,17 +90,15 @@ def quality_of(evidence: Evidence) -> CalibrationQuality:
     Returns:
         Its figures, checks and verdict.
     """
-    nan = float("nan")
-    has_epipolar = len(evidence.epipolar_px) > 0
-    p50, p90, p99 = np.percentile(evidence.epipolar_px, (50, 90, 99)) if has_epipolar else (nan, nan, nan)
+    p50, p90, p99 = epipolar_percentiles_px(evidence.epipolar_px)
     cross_px = _cross_validation_px(evidence)
-    checks = (*_view_checks(evidence), *_figure_checks(evidence, p90_px=float(p90), cross_px=cross_px))
+    checks = (*_view_checks(evidence), *_figure_checks(evidence, p90_px=p90, cross_px=cross_px))
     return CalibrationQuality(
         tele_rms_px=rms_px(evidence.used("tele")),
         wide_rms_px=rms_px(evidence.used("wide")),
-        epipolar_p50_px=float(p50),
-        epipolar_p90_px=float(p90),
-        epipolar_p99_px=float(p99),
+        epipolar_p50_px=p50,
+        epipolar_p90_px=p90,
+        epipolar_p99_px=p99,
         cross_validation_px=cross_px,
         checks=checks,
         verdict=verdict_of(checks),

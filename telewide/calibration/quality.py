@@ -11,6 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from telewide.geometry.arrays import FloatArray
+
 Status = Literal["pass", "warn", "fail"]
 Verdict = Literal["good", "usable", "insufficient"]
 Bound = Literal["at least", "at most", ""]
@@ -84,6 +88,12 @@ def larger_than_usual(hw: tuple[int, int]) -> float:
     Shake, focus and processing blur a share of the picture: 50 megapixels show the same error with twice the px.
     """
     return max(1.0, max(hw) / _USUAL_SIDE_PX)
+
+
+def epipolar_percentiles_px(errors_px: FloatArray) -> tuple[float, float, float]:
+    """50th, 90th and 99th percentile of held-out errors (N,); NaN where nothing was held out."""
+    p50, p90, p99 = np.percentile(errors_px, (50, 90, 99)) if len(errors_px) else (math.nan,) * 3
+    return float(p50), float(p90), float(p99)
 
 
 def verdict_of(checks: Sequence[Check]) -> Verdict:

@@ -20,6 +20,7 @@ from telewide.calibration.quality import (
     Status,
     at_least,
     at_most,
+    epipolar_percentiles_px,
     larger_than_usual,
     verdict_of,
 )
@@ -114,20 +115,19 @@ def judge_scenes(evidence: SceneEvidence) -> CalibrationQuality:
     Returns:
         Its figures, checks and verdict; NaN for what could not be found out.
     """
-    held_out_px = np.concatenate([np.zeros(0), *evidence.errors_px])
-    p50, p90, p99 = np.percentile(held_out_px, (50, 90, 99)) if len(held_out_px) else (math.nan,) * 3
+    p50, p90, p99 = epipolar_percentiles_px(np.concatenate([np.zeros(0), *evidence.errors_px]))
     cross_px = math.nan if evidence.halves is None else _cross_px(evidence.halves)
     checks = (
-        *_capture_checks(evidence, p90_px=float(p90), cross_px=cross_px),
+        *_capture_checks(evidence, p90_px=p90, cross_px=cross_px),
         *_focal_checks(evidence.whole),
         *_unseen_checks(evidence.whole),
     )
     return CalibrationQuality(
         tele_rms_px=math.nan,
         wide_rms_px=math.nan,
-        epipolar_p50_px=float(p50),
-        epipolar_p90_px=float(p90),
-        epipolar_p99_px=float(p99),
+        epipolar_p50_px=p50,
+        epipolar_p90_px=p90,
+        epipolar_p99_px=p99,
         cross_validation_px=cross_px,
         checks=checks,
         verdict=verdict_of(checks),

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from telewide.benchmark.paper.system import System
     from telewide.benchmark.paper.tables import Table
     from telewide.benchmark.report import BenchmarkReport
+    from telewide.recipe import Recipe
+    from telewide.stages.run_folder import RunFolder
 
 benchmark_app = typer.Typer(
     help="Measure speed, memory and errors of every matcher, side by side.",
@@ -115,22 +117,21 @@ def matches(
     """Count the held-out matches that each matcher misses on your captures; the first run's pairs are used."""
     from telewide.benchmark.contenders import all_contenders, semiglobal_contender
     from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
-    from telewide.stages.depth import recipe_of_depth
     from telewide.stages.run_folder import RunFolder
 
     sources = run or []
     entrants = [Entrant(contender) for contender in all_contenders(sources, device=device)]
     if uncorrected:
         entrants.insert(1, Entrant(semiglobal_contender(), is_corrected=False))
-    folders = [_run_of(source) for source in sources]
-    with _run_with_pairs(sources) as pairs_run:
+    trained = dict.fromkeys(_run_of(source) for source in sources)
+    with _run_and_recipe(sources, captures) as (folder, recipe):
         report = benchmark_matches(
             captures,
             entrants,
-            run=RunFolder(pairs_run),
-            recipe=recipe_of_depth(pairs_run, captures, weights=sources[0] if sources else None),
+            run=folder,
+            recipe=recipe,
             tell=_tell,
-            trained_runs=[RunFolder(folder) for folder in dict.fromkeys(folders)],
+            trained_runs=[RunFolder(place) for place in trained],
             rig=rig,
         )
     _hand_over(report, matches_table(report), json_file)
@@ -158,20 +159,18 @@ def marks(
     from telewide.benchmark.contenders import all_contenders
     from telewide.benchmark.marked import benchmark_marks, marks_table
     from telewide.benchmark.marks import read_marks
-    from telewide.stages.depth import recipe_of_depth
-    from telewide.stages.run_folder import RunFolder
 
     if sheets is not None:
         refuse_filled(sheets)
     made_by_hand, sources = read_marks(marks), run or []
     contenders = all_contenders(sources, device=device)
-    with _run_with_pairs(sources) as pairs_run:
+    with _run_and_recipe(sources, captures) as (folder, recipe):
         report = benchmark_marks(
             captures,
             contenders,
             made_by_hand,
-            run=RunFolder(pairs_run),
-            recipe=recipe_of_depth(pairs_run, captures, weights=sources[0] if sources else None),
+            run=folder,
+            recipe=recipe,
             tell=_tell,
             rig=rig,
             sheets=sheets,
@@ -195,17 +194,15 @@ def bokeh(
     from telewide.benchmark.bokeh import benchmark_bokeh, bokeh_table
     from telewide.benchmark.contenders import all_contenders
     from telewide.bokeh.picture import BokehOptions
-    from telewide.stages.depth import recipe_of_depth
-    from telewide.stages.run_folder import RunFolder
 
     sources = run or []
     contenders = all_contenders(sources, device=device)
-    with _run_with_pairs(sources) as pairs_run:
+    with _run_and_recipe(sources, captures) as (folder, recipe):
         report = benchmark_bokeh(
             captures,
             contenders,
-            run=RunFolder(pairs_run),
-            recipe=recipe_of_depth(pairs_run, captures, weights=sources[0] if sources else None),
+            run=folder,
+            recipe=recipe,
             tell=_tell,
             bokeh=BokehOptions(focus=focus),
             rig=rig,
@@ -337,15 +334,16 @@ def _run_of(source: Path) -> Path:
 
 
 @contextmanager
-def _run_with_pairs(sources: Sequence[Path]) -> Iterator[Path]:
-    """The first run that holds corrected pairs, or a temporary one."""
+def _run_and_recipe(sources: Sequence[Path], captures: Path) -> Iterator[tuple[RunFolder, Recipe]]:
+    """The first run that holds corrected pairs, or a temporary one, and the recipe to prepare pairs by."""
+    from telewide.stages.depth import recipe_of_depth
     from telewide.stages.run_folder import RunFolder
 
     folders = (_run_of(source) for source in sources)
     with _folder_or_temporary(
         next((folder for folder in folders if is_folder(RunFolder(folder).pairs)), None)
     ) as place:
-        yield place
+        yield RunFolder(place), recipe_of_depth(place, captures, weights=sources[0] if sources else None)
 
 
 @contextmanager
