@@ -1,4 +1,4 @@
-# make setup | demo | test | test-slow | test-minima | mutants | soak | lint | bench        (each sets up .venv first, once)
+# make setup | demo | box | test | test-slow | test-minima | mutants | soak | lint | bench  (each sets up .venv first, once)
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -10,7 +10,7 @@ MINIMA_TESTS := test_records test_options test_npz test_files geometry/test_rig 
 	correction/test_colour depth/test_export depth/test_preview pages/test_report cli/test_board cli/test_terminal \
 	matching/test_volume matching/test_lite training/test_checkpoint \
 	capture/test_heif depth/formats/test_plain_files depth/formats/test_space_files
-# make bench RUNS="run other/run" measures their networks too. Three of its five tables need data sets, which you fetch:
+# make bench RUNS="run other/run" measures their networks too. Four of its six tables need data sets, which you fetch:
 #   $(DATA)/middlebury_2006_third/<scene>/{view1,view5,disp1,disp5}.png   vision.middlebury.edu/stereo/data/scenes2006,
 #                                                                      the 21 scenes of a third of the size
 #   $(DATA)/p30/                                                       captures of a phone, in any layout of the README
