@@ -53,11 +53,16 @@ def match_errors_px(disparity_px: FloatMap, held_out: HeldOut) -> NDArray[np.flo
     Returns:
         (N,) px.
     """
+    return np.abs(sampled_at(disparity_px, held_out) - held_out.disparity_px[:_REMAP_LIMIT])
+
+
+def sampled_at(map_HW: FloatMap, held_out: HeldOut) -> NDArray[np.float64]:
+    """Values of a map (H, W) of tele at the matches, bilinear in between; (N,)."""
     xy = held_out.ref_px.astype(np.float32)[:_REMAP_LIMIT]
     if not len(xy):
         return np.empty(0)
-    sampled = cv2.remap(disparity_px, xy[:, :1], xy[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.abs(sampled[:, 0].astype(np.float64) - held_out.disparity_px[:_REMAP_LIMIT])
+    sampled = cv2.remap(map_HW, xy[:, :1], xy[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sampled[:, 0].astype(np.float64)
 
 
 def summarise_errors(errors_px: NDArray[np.float64]) -> dict[str, float]:

@@ -11,7 +11,14 @@ import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
 from typer.testing import CliRunner
 
-from telewide.benchmark.matches import Entrant, benchmark_matches, matches_table
+from telewide.benchmark.matches import (
+    ALL,
+    AWAY_FROM_EDGES,
+    EDGE_STEP_PX,
+    Entrant,
+    benchmark_matches,
+    matches_table,
+)
 from telewide.benchmark.report import BenchmarkReport
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, read_rig, write_stored_rig
@@ -32,6 +39,7 @@ from telewide.stages.run_folder import RunFolder
 from telewide.training.checkpoint import WeightsCard, save_weights
 
 OFF_PX = 2.0
+OF_ALL = {ALL, AWAY_FROM_EDGES}
 
 
 def answering(name: str, disparity_px: FloatMap) -> Matcher:
@@ -125,7 +133,7 @@ def test_pairs_that_need_a_rig_cannot_be_judged_uncorrected(photographed: tuple[
 
 
 def test_the_truth_misses_few_matches_and_a_shifted_one_nearly_all(captures: Path) -> None:
-    right, uncorrected, off, _ = measured(captures).rows
+    right, uncorrected, off, _ = measured(captures).rows[:4]
     assert int(str(right["matches"])) > 20
     assert float(str(right["off_1px"])) < 0.1
     assert uncorrected == {**right, "matcher": "right, uncorrected"}
@@ -136,15 +144,46 @@ def test_the_truth_misses_few_matches_and_a_shifted_one_nearly_all(captures: Pat
 
 def test_without_a_training_nothing_is_said_of_one(captures: Path) -> None:
     report = measured(captures)
-    assert {row["captures"] for row in report.rows} == {"all"}
+    assert {row["captures"] for row in report.rows} == OF_ALL
     assert report.notes == ()
+
+
+def test_matches_by_an_edge_of_any_map_are_not_among_those_away_from_edges(captures: Path) -> None:
+    """Rendered truth: the matches whose surroundings of 4 px hold one surface, counted one by one."""
+    (capture,) = find_captures(captures).captures
+    truth_px = read_pfm(capture.tele_path.with_name("truth.pfm"))
+    halved = truth_px + np.float32(20) * (np.arange(truth_px.shape[1]) < truth_px.shape[1] // 2).astype(np.float32)
+    run = RunFolder(captures.parent / "run")
+    (item,) = prepare_captures(find_captures(captures), run, recipe=Recipe()).pairs
+
+    def counted(*maps_px: FloatMap) -> int:
+        entrants = [Entrant(answering(f"map {i}", map_px)) for i, map_px in enumerate(maps_px)]
+        report = benchmark_matches(captures, entrants, run=run, recipe=Recipe(), tell=lambda _: None)
+        (count,) = {int(str(row["matches"])) for row in report.rows if row["captures"] == AWAY_FROM_EDGES}
+        return count
+
+    def is_smooth(map_px: FloatMap, x: float, y: float, reach: int) -> bool:
+        column, row = round(x), round(y)
+        around = map_px[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
+        return float(np.ptp(around)) <= EDGE_STEP_PX
+
+    points = item.held_out.ref_px
+    surely = sum(is_smooth(truth_px, x, y, 7) for x, y in points)
+    perhaps = sum(is_smooth(truth_px, x, y, 2) for x, y in points)
+    assert surely <= counted(truth_px) <= perhaps < len(points)
+    assert counted(np.zeros_like(truth_px)) == len(points)
+    by_the_middle = sum(abs(x - truth_px.shape[1] / 2) < 3 for x, _ in points)
+    assert by_the_middle > 0
+    assert counted(truth_px, halved) <= counted(truth_px) - sum(
+        is_smooth(truth_px, x, y, 7) for x, y in points if abs(x - truth_px.shape[1] / 2) < 3
+    )
 
 
 def test_without_a_record_no_capture_counts_as_unseen(captures: Path, tmp_path: Path) -> None:
     report = measured(captures, trained_runs=(RunFolder(tmp_path / "unrecorded"),))
-    assert {row["captures"] for row in report.rows} == {"all"}
+    assert {row["captures"] for row in report.rows} == OF_ALL
     assert "unseen" in report.notes[-1]
-    assert len(matches_table(report).splitlines()) == 2 + 4
+    assert len(matches_table(report).splitlines()) == 2 + 2 * 4
 
 
 def test_captures_that_every_training_held_out_get_their_own_lines(captures: Path, tmp_path: Path) -> None:
@@ -155,11 +194,12 @@ def test_captures_that_every_training_held_out_get_their_own_lines(captures: Pat
         run.train.mkdir(parents=True)
         (run.train / "training.json").write_text(json.dumps(record))
     report = measured(captures, trained_runs=runs[:1])
-    assert [row["captures"] for row in report.rows] == ["all"] * 4 + ["held out"] * 3 + ["held out, chose the weights"]
+    of_runs = [row["captures"] for row in report.rows][8:]
+    assert of_runs == ["held out"] * 3 + ["held out, chose the weights"]
     assert "| held out, chose the weights |" in matches_table(report).splitlines()[-1]
     assert "held-out captures chose the best weights" in report.notes[-1]
     both = measured(captures, trained_runs=runs)  # the second training has seen it
-    assert {row["captures"] for row in both.rows} == {"all"}
+    assert {row["captures"] for row in both.rows} == OF_ALL
 
 
 @pytest.mark.parametrize("place", ["kept.safetensors", "run/train/kept.safetensors"])
