@@ -186,7 +186,11 @@ def _enlarged(view: FloatImage, hw: tuple[int, ...]) -> FloatImage:
 
 
 def _shrunken(larger: DisparityMap, hw: tuple[int, ...]) -> DisparityMap:
-    """The map at the size that was asked for; no disparity is the mean of two surfaces."""
+    """The map at the size that was asked for; no disparity is the mean of two surfaces.
+
+    A pixel of the larger map is less than one here, so that more errors are below 1 px: the odds of that grow as the
+    limit does (measured, docs/decisions.md).
+    """
     scale = np.float32(larger.disparity_px.shape[1] / hw[1])
 
     def resized(values: FloatImage, interpolation: int) -> FloatImage:
@@ -196,7 +200,8 @@ def _shrunken(larger: DisparityMap, hw: tuple[int, ...]) -> DisparityMap:
     is_surface = np.abs(mean_px - nearest_px) < SAME_SURFACE_PX
     valid = resized(larger.valid.astype(np.float32), cv2.INTER_NEAREST_EXACT) > 0
     disparity_px = np.asarray(np.where(is_surface, mean_px, nearest_px) / scale, dtype=np.float32)
-    return DisparityMap(disparity_px, resized(larger.confidence, cv2.INTER_AREA), valid)
+    sure = resized(larger.confidence, cv2.INTER_AREA)
+    return DisparityMap(disparity_px, sure * scale / (1 + sure * (scale - 1)), valid)
 
 
 def _match_views(

@@ -385,3 +385,13 @@ def test_views_are_not_enlarged_where_the_other_one_is_coarse(
     src = shrink_and_enlarge(pair.src, factor=factor)
     match_with_network(pair.ref, src, network=build_network("guided", seed=1), window=(0, 32))
     assert sizes == [(144, 216) if is_enlarged else (96, 144)]
+
+
+def test_the_odds_of_an_error_below_a_pixel_grow_with_the_pixel() -> None:
+    """A map computed half as large again: 1 px of it is two thirds of one here."""
+    shares = np.array([0.0, 0.1, 0.5, 0.9, 1.0], np.float32)
+    larger = np.repeat(shares, 6)[None].repeat(6, axis=0)
+    (sure,) = inference._shrunken(DisparityMap(larger, larger, larger > 0), (4, 20)).confidence[:1, 1::4]
+    np.testing.assert_array_equal(sure[[0, -1]], shares[[0, -1]])
+    inner = shares[1:-1]
+    np.testing.assert_allclose(sure[1:-1] / (1 - sure[1:-1]), 1.5 * inner / (1 - inner), rtol=1e-5)
