@@ -98,7 +98,7 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
     recipe = _recipe_of_run(run, captures_root)
     if weights is None or not is_file(weights):
         return recipe
-    from telewide.training.checkpoint import read_card
+    from telewide.training.weights_card import read_card
 
     taught = parse_options(Recipe, read_card(weights).recipe, source=str(weights), error=InputError)
     return recipe.model_copy(update={name: getattr(taught, name) for name in OF_THE_PAIRS})

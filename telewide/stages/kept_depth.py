@@ -148,6 +148,21 @@ def _as_kept(record: KeptRecord) -> KeptDepth:
     return KeptDepth(files, record.notes, record.numbers, withheld=record.withheld, depth=record.depth)
 
 
+def matcher_of(folder: Path) -> str | None:
+    """Name of the matcher that made the depth in a folder; None where none lies there.
+
+    Args:
+        folder: of one capture.
+    """
+    try:
+        record = read_record(folder / KEPT_NAME, KeptRecord)
+    except TelewideError:
+        return None
+    is_there = record.format == FORMAT and record.depth.npz_sha256 is not None and is_file(folder / NPZ_NAME)
+    name = record.key.get("matcher")
+    return name if is_there and isinstance(name, str) else None
+
+
 def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
     """Refuse to replace files that telewide did not write.
 
