@@ -14,6 +14,7 @@ import tifffile
 from PIL import Image
 
 from telewide.capture.carried import CarriedFacts
+from telewide.capture.exr_attributes import exr_attributes
 from telewide.errors import UsageError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
@@ -39,6 +40,21 @@ class PictureFacts:
     done: str = ""
     of_photo: CarriedFacts = field(default_factory=lambda: CarriedFacts({}, {}, {}))
     is_stripped: bool = False
+
+    def exif_bytes(self, *, wh: tuple[int, int]) -> bytes:
+        """Write EXIF of an upright picture; empty for one that is stripped.
+
+        Args:
+            wh: width and height, px.
+        """
+        return b"" if self.is_stripped else self.of_photo.exif_bytes(wh=wh, software=self.software)
+
+    def exr_attributes(self) -> dict[str, str | float]:
+        """Attributes of an EXR; none for one that is stripped."""
+        if self.is_stripped:
+            return {}
+        software: dict[str, str | float] = {"software": self.software} if self.software else {}
+        return software | exr_attributes(self.of_photo, done=self.done)
 
 
 def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None:
@@ -69,11 +85,10 @@ def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
     told: dict[str, bytes] = {}
     of_photo = facts.of_photo
     if not facts.is_stripped:
-        wh = image.shape[1], image.shape[0]
-        told["exif"] = of_photo.exif_bytes(wh=wh, software=facts.software)
+        told["exif"] = facts.exif_bytes(wh=(image.shape[1], image.shape[0]))
         told["xmp"] = of_photo.xmp_packet(software=facts.software, done=facts.done)
-    if of_photo.profile is not None:
-        told["icc_profile"] = of_photo.profile
+    if of_photo.picture_profile is not None:
+        told["icc_profile"] = of_photo.picture_profile
     stream = BytesIO()
     levels = Image.fromarray((image * 255 + 0.5).astype(np.uint8))
     levels.save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
@@ -86,8 +101,7 @@ def _write_exr(path: Path, image_srgb: FloatImage, facts: PictureFacts) -> None:
 
     light = linear_from_srgb(np.maximum(np.nan_to_num(image_srgb, nan=0.0), 0)).astype(np.float16)
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    if not facts.is_stripped:
-        header |= {"software": facts.software, "comments": facts.done}
+    header |= facts.exr_attributes()
     OpenEXR.File(header, {"RGB": light}).write(str(path))
 
 
@@ -110,7 +124,7 @@ def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
         rowsperstrip=256,
         software=False if facts.is_stripped else facts.software,
         metadata=None,
-        iccprofile=of_photo.profile,
+        iccprofile=of_photo.picture_profile,
         extratags=tags,
     )
     return stream.getvalue()

@@ -27,7 +27,7 @@ PREVIEW_BOKEH_NAME = "bokeh_preview.jpg"
 DEPTH_NAMES = file_names(FORMATS)
 FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES, PREVIEW_BOKEH_NAME)
 """Of all files of one capture; some are left out where they cannot be made."""
-MADE_OF_DEPTH = ("bokeh", "formats")
+MADE_OF_DEPTH = ("bokeh", "formats", "is_stripped")
 """Keys of what is made of a depth that is known; the depth itself does not depend on them."""
 
 
@@ -37,6 +37,7 @@ class DepthPart(Record):
     Attributes:
         npz_sha256: fingerprint of ``depth.npz``, from which the depth is taken again; None where it was not written.
         formats: of the depth files that lie there.
+        is_stripped: whether they say nothing of the photo.
         notes: on the depth, its metres for instance.
         file_notes: on the depth files that lie there.
         numbers: measured of the depth.
@@ -44,6 +45,7 @@ class DepthPart(Record):
 
     npz_sha256: str | None = None
     formats: tuple[str, ...] = ()
+    is_stripped: bool = False
     notes: tuple[Line, ...] = ()
     file_notes: tuple[Line, ...] = ()
     numbers: dict[str, Figure] = Field(default_factory=dict)
