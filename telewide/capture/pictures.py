@@ -8,9 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image
 
 from telewide.capture.carried import CarriedFacts
@@ -22,6 +24,8 @@ from telewide.srgb import linear_from_srgb
 
 QUALITY = 95
 _XMP, _BYTE, _ASCII = 700, 1, 2
+_STRIP_ROWS = 128
+Level = TypeVar("Level", np.uint8, np.uint16)
 _TEXTS = (270, 271, 272, 306, 315, 33432)
 
 
@@ -76,7 +80,7 @@ def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None
     writers = {".jpg": _jpeg, ".tif": _tiff}
     if path.suffix not in writers:
         raise UsageError(f"{path}: a picture is written as {' or '.join((*writers, '.exr'))}")
-    encoded = writers[path.suffix](np.clip(np.nan_to_num(image, nan=0.0), 0, 1), facts)
+    encoded = writers[path.suffix](image, facts)
     with replacing(path) as temporary:
         temporary.write_bytes(encoded)
 
@@ -90,9 +94,17 @@ def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
     if of_photo.picture_profile is not None:
         told["icc_profile"] = of_photo.picture_profile
     stream = BytesIO()
-    levels = Image.fromarray((image * 255 + 0.5).astype(np.uint8))
-    levels.save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
+    Image.fromarray(_levels(image, np.uint8)).save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
     return stream.getvalue()
+
+
+def _levels(image: FloatImage, kind: type[Level]) -> NDArray[Level]:
+    """Round to whole levels, strip by strip: between its steps the formula leaves a few times the picture."""
+    levels = np.empty(image.shape, kind)
+    for top in range(0, len(image), _STRIP_ROWS):
+        strip = np.clip(np.nan_to_num(image[top : top + _STRIP_ROWS], nan=0.0), 0, 1)
+        levels[top : top + _STRIP_ROWS] = (strip * np.iinfo(kind).max + 0.5).astype(kind)
+    return levels
 
 
 def _write_exr(path: Path, image_srgb: FloatImage, facts: PictureFacts) -> None:
@@ -116,7 +128,7 @@ def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
     stream = BytesIO()
     tifffile.imwrite(
         stream,
-        (image * 65535 + 0.5).astype(np.uint16),
+        _levels(image, np.uint16),
         photometric="rgb",
         compression="adobe_deflate",
         compressionargs={"level": 1},

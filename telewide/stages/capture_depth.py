@@ -20,6 +20,7 @@ from telewide.capture.carried import read_carried
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.capture.photo_store import PhotoStore
 from telewide.capture.pictures import PictureFacts, write_picture
+from telewide.cores import return_freed_memory
 from telewide.depth.export import ALWAYS, DEFAULT_FORMATS, IN_OWN_COLOURS, WITH_FACTS, file_names, write_depth
 from telewide.depth.formats.contents import WrittenDepth
 from telewide.depth.formats.numpy_archive import NPZ_NAME, read_result
@@ -163,6 +164,7 @@ def depth_of_capture(
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
             picture = found.bokeh(source, bokeh, turned_deg=turned_deg)
+            return_freed_memory()
         made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -254,6 +256,8 @@ def _matched(
     pair = read_pair(held_out.capture)
     window = within_width(window, pair.tele.shape[1])
     working = match(pair.tele, pair.wide, window=window, valid=pair.valid)
+    del pair
+    return_freed_memory()
     numbers = {"match_s": time.monotonic() - begun_s}
     photo = photos.read(source.tele_path)
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
@@ -261,6 +265,7 @@ def _matched(
     errors, unjudged = _errors_by_truth(source, result, is_mirrored=shot is None and facts.wide_side == "left")
     numbers |= errors
     photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
+    return_freed_memory()
     numbers["total_s"] = time.monotonic() - begun_s
     return _Depth(photo, result, (*metric_notes, *unjudged), numbers=numbers, withheld=withheld)
 
