@@ -164,7 +164,6 @@ def depth_of_capture(
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
             picture = found.bokeh(source, bokeh, turned_deg=turned_deg)
-            return_freed_memory()
         made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -195,7 +194,9 @@ class _Depth:
     def bokeh(self, source: Capture, options: BokehOptions | None, *, turned_deg: int) -> CaptureBokeh | None:
         if options is None:
             return None
-        return bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
+        picture = bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
+        return_freed_memory()
+        return picture
 
 
 @dataclass(frozen=True)
