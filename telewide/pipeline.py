@@ -95,7 +95,8 @@ def depth_captures(
         only=options.only,
     ) as call:
         refuse_what_cannot_be(call, options)
-        matcher = choose_matcher(call, method=options.method, weights=options.weights)
+        out = options.out or call.folder.depth
+        matcher = choose_matcher(call, method=options.method, weights=options.weights, out=out)
         make_folder(call, options)
         pairs = prepare(call)
         return report_depth(call, compute_depth(call, pairs, matcher, options=options), bokeh=options.bokeh)
@@ -128,6 +129,7 @@ def run_captures(
         pairs = prepare(call)
         if trains:
             train(call, pairs, fresh=False)
-        matcher = choose_matcher(call, method=options.method, weights=options.weights)
+        out = options.out or call.folder.depth
+        matcher = choose_matcher(call, method=options.method, weights=options.weights, out=out)
         depths = compute_depth(call, pairs, matcher, options=options)
         return (report if trains else report_depth)(call, depths, bokeh=options.bokeh)

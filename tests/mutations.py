@@ -269,7 +269,8 @@ def _npz() -> dict[str, bytes]:
 
 def _weights(folder: Path) -> dict[str, bytes]:
     from telewide.matching.networks import build_network
-    from telewide.training.checkpoint import WeightsCard, save_weights
+    from telewide.training.checkpoint import save_weights
+    from telewide.training.weights_card import WeightsCard
 
     path = folder / "w.safetensors"
     save_weights(build_network("lite"), path, card=WeightsCard("lite", (0, 64), {"seed": 3}, {"step": 7}))

@@ -37,7 +37,8 @@ from telewide.stages.kept_depth import KeptDepth, read_kept, write_kept
 from telewide.stages.observer import Silent
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
-from telewide.training.checkpoint import WeightsCard, save_weights
+from telewide.training.checkpoint import save_weights
+from telewide.training.weights_card import WeightsCard
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}
 TINY = ("train.rehearsal.steps=2", "train.feature.steps=1", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")

@@ -111,7 +111,7 @@ def _variants(options: SpeedOptions) -> list[Variant]:
     from telewide.benchmark.networks import available_precisions
     from telewide.matching.inference import choose_device
     from telewide.matching.networks import NETWORKS
-    from telewide.training.checkpoint import read_card
+    from telewide.training.weights_card import read_card
 
     known = (SGM, *NETWORKS)
     matchers = [read_card(BOX_WEIGHTS).network if name == NETWORK else name for name in options.matchers]

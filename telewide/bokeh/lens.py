@@ -23,7 +23,7 @@ import numpy as np
 
 from telewide.bokeh.aperture import DISK, QUARTERS, Aperture, spot_of
 from telewide.bokeh.layers import Box, Fronts, SortedPhoto, box_of, shrunk, sort_photo, tiles_of
-from telewide.cores import usable_cores
+from telewide.cores import return_freed_memory, usable_cores
 from telewide.geometry.arrays import FloatImage, FloatMap
 
 IN_FOCUS_PX = 0.5  # a disk within one pixel: such a pixel is left as it is
@@ -106,6 +106,7 @@ def spread_light(light: FloatImage, radius_px: FloatMap, *, aperture: Aperture =
     height, width = radius_px.shape
     photo = sort_photo(light, radius_px, multiple=_cell_of(float(np.abs(radius_px).max())))
     del light, radius_px  # where nobody else holds them, an eighth of the memory
+    return_freed_memory()
     view = _View(photo, aperture)
     present = photo.bins_in(view.frame)
     fine = [index for index in present if view.cell(index) <= FINE_CELL_PX]
@@ -113,6 +114,7 @@ def spread_light(light: FloatImage, radius_px: FloatMap, *, aperture: Aperture =
     far = _stacked(view, (index for index in coarse if view.radius_px(index) < 0), is_over=True)
     near = _stacked(view, (index for index in reversed(coarse) if view.radius_px(index) > 0), is_over=False)
     hidden = _hidden_of_all(view, fine)
+    return_freed_memory()
     spread = np.empty((*photo.hw, 3), np.float32)
 
     def draw(tile: Box) -> None:

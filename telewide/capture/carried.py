@@ -17,9 +17,9 @@ from xml.etree import ElementTree
 
 from PIL import Image
 
-from telewide.capture.colour_profiles import rgb_profile
+from telewide.capture.colour_profiles import rgb_profile, srgb_profile
 from telewide.capture.formats import HEAD_BYTES, TAG_DNG_VERSION, format_by_head, read_bytes
-from telewide.capture.pillow_photos import exif_of, open_photo
+from telewide.capture.pillow_photos import exif_of, has_wider_colours, open_photo
 from telewide.capture.tiff_tags import stated_bytes
 from telewide.files import open_regular
 
@@ -28,6 +28,7 @@ _ORIENTATION, _SOFTWARE, _XMP, _PHOTOMETRIC, _PROFILE = 274, 305, 700, 262, 3467
 _RGB = 2
 _MOST_TAG_BYTES = 1 << 24
 _WIDTH, _HEIGHT, _CUSTOM_RENDERED = 40962, 40963, 41985
+_COLOUR_SPACE, _OTHER_SPACES = 40961, {2, 65535}  # Adobe RGB, as some cameras say, and uncalibrated
 # ImageDescription, Make, Model, resolution and its unit, DateTime, Artist, Copyright.
 _LASTING = (270, 271, 272, 282, 283, 296, 306, 315, 33432)
 # MakerNote, SubjectArea, SubjectLocation, Interoperability, ImageUniqueID, CompressedBitsPerPixel, RelatedSoundFile.
@@ -68,6 +69,7 @@ class CarriedFacts:
         gps: tags of the GPS directory.
         xmp: its packet, as it stands in the file; empty where there is none.
         profile: its colour profile (ICC); None where it has none, or one that is not of RGB.
+        has_other_colours: whether it has no profile, and says all the same that its colours are not those of sRGB.
     """
 
     lasting: Mapping[int, object]
@@ -75,6 +77,12 @@ class CarriedFacts:
     gps: Mapping[int, object]
     xmp: bytes = b""
     profile: bytes | None = None
+    has_other_colours: bool = False
+
+    @property
+    def picture_profile(self) -> bytes | None:
+        """Colour profile of a picture made from it: its own, else that of sRGB; None where its colours have no name."""
+        return self.profile or (None if self.has_other_colours else srgb_profile())
 
     def exif_bytes(self, *, wh: tuple[int, int], software: str) -> bytes:
         """Write EXIF of an upright picture.
@@ -131,7 +139,8 @@ def read_carried(path: Path) -> CarriedFacts:
                 return _carried_of_tiff(stream)
             with open_photo(path, stream, kind) as photo:
                 stated = photo.info.get("xmp", photo.info.get("XML:com.adobe.xmp"))
-                return _carried(exif_of(photo, stream=stream), stated, rgb_profile(photo.info.get("icc_profile")))
+                exif, profile = exif_of(photo, stream=stream), photo.info.get("icc_profile")
+                return _carried_of_picture(exif, stated, profile, is_wider=has_wider_colours(photo))
     return CarriedFacts({}, {}, {})
 
 
@@ -140,8 +149,17 @@ def _carried_of_tiff(stream: BinaryIO) -> CarriedFacts:
         return CarriedFacts({}, {}, {})
     exif = Image.Exif()
     exif.load_from_fp(stream)
-    is_raw = TAG_DNG_VERSION in exif or exif.get(_PHOTOMETRIC) != _RGB  # its profile is none of a picture
-    return _carried(exif, exif.get(_XMP), None if is_raw else rgb_profile(exif.get(_PROFILE)))
+    is_raw = TAG_DNG_VERSION in exif or exif.get(_PHOTOMETRIC) != _RGB
+    if is_raw:  # what it says of colours is of its camera's JPEG; developed here, they are those of sRGB
+        facts = _carried(exif, exif.get(_XMP), None)
+        return replace(facts, exif={tag: value for tag, value in facts.exif.items() if tag != _COLOUR_SPACE})
+    return _carried_of_picture(exif, exif.get(_XMP), exif.get(_PROFILE))
+
+
+def _carried_of_picture(exif: Image.Exif, xmp: object, profile: object, *, is_wider: bool = False) -> CarriedFacts:
+    space = exif.get_ifd(_IFD_EXIF).get(_COLOUR_SPACE)
+    has_others = not profile and (is_wider or space in _OTHER_SPACES)
+    return replace(_carried(exif, xmp, rgb_profile(profile)), has_other_colours=has_others)
 
 
 def _carried(exif: Image.Exif, xmp: object, profile: bytes | None) -> CarriedFacts:

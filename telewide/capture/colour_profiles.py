@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import struct
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from PIL import Image, ImageCms
 
 # A profile that moves no colour by more than this many 8-bit steps is sRGB, whatever its name.
 _SRGB_TOLERANCE = 2
+# Of a profile's header (ICC.1, 7.2): when it was made, and the MD5 of its bytes, which may be left out.
+_DATE, _ID = slice(24, 36), slice(84, 100)
 _log = logging.getLogger("telewide")
 
 
@@ -80,6 +84,14 @@ def rgb_profile(profile_bytes: object) -> bytes | None:
         return profile_bytes if profile.profile.xcolor_space.strip() == "RGB" else None
     except (ImageCms.PyCMSError, OSError, ValueError):
         return None
+
+
+@cache
+def srgb_profile() -> bytes:
+    """Make a profile of sRGB; always of the same bytes, though its maker states the present time in it."""
+    profile = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    profile[_DATE], profile[_ID] = struct.pack(">6H", 1999, 10, 1, 0, 0, 0), bytes(16)  # when sRGB became a standard
+    return bytes(profile)
 
 
 def is_other_than_srgb(profile_bytes: bytes) -> bool:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from telewide.capture.images import read_image
-from telewide.geometry.arrays import FloatImage
+from telewide.geometry.arrays import ByteImage, FloatImage
 
 MAX_BYTES = 512 << 20
-"""Of three photos of 12 megapixels; those of a larger set are decoded once a stage."""
+"""Of three photos of 12 megapixels, a dozen with 8 bits; those of a larger set are decoded once a stage."""
+_STRIP_ROWS = 128
 
 
 class PhotoStore:
@@ -20,7 +23,7 @@ class PhotoStore:
 
     def __init__(self, *, max_bytes: int = MAX_BYTES) -> None:
         self._max_bytes = max_bytes
-        self._kept: dict[Path, FloatImage] = {}
+        self._kept: dict[Path, FloatImage | ByteImage] = {}
 
     @property
     def kept_bytes(self) -> int:
@@ -34,15 +37,32 @@ class PhotoStore:
             path: a photo.
 
         Returns:
-            (H, W, 3) float32, shared with later calls; it must not be changed.
+            (H, W, 3) float32; it may be shared with later calls, so it must not be changed.
 
         Raises:
             UsageError: there is no such file.
             InputError: it cannot be read.
         """
         if path in self._kept:
-            return self._kept[path]
+            return _photo_of(self._kept[path])
         photo = read_image(path)
-        if self.kept_bytes + photo.nbytes <= self._max_bytes:
-            self._kept[path] = photo
+        kept = _levels_of(photo)
+        if self.kept_bytes + kept.nbytes <= self._max_bytes:
+            self._kept[path] = kept
         return photo
+
+
+def _levels_of(photo: FloatImage) -> FloatImage | ByteImage:
+    """The photo in a quarter of its memory, where it has 8 bits and comes back exactly; else as it is."""
+    levels = np.empty(photo.shape, np.uint8)
+    for top in range(0, len(photo), _STRIP_ROWS):
+        strip, those = photo[top : top + _STRIP_ROWS], levels[top : top + _STRIP_ROWS]
+        those[:] = np.round(strip * 255)
+        if not np.array_equal(_photo_of(those), strip):
+            return photo
+    return levels
+
+
+def _photo_of(kept: FloatImage | ByteImage) -> FloatImage:
+    scale = np.float32(1 / 255 if kept.dtype == np.uint8 else 1)
+    return np.asarray(kept if scale == 1 else kept * scale, dtype=np.float32)

@@ -8,12 +8,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image
 
 from telewide.capture.carried import CarriedFacts
+from telewide.capture.exr_attributes import exr_attributes
 from telewide.errors import UsageError
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatImage
@@ -21,6 +24,8 @@ from telewide.srgb import linear_from_srgb
 
 QUALITY = 95
 _XMP, _BYTE, _ASCII = 700, 1, 2
+_STRIP_ROWS = 128
+Level = TypeVar("Level", np.uint8, np.uint16)
 _TEXTS = (270, 271, 272, 306, 315, 33432)
 
 
@@ -39,6 +44,21 @@ class PictureFacts:
     done: str = ""
     of_photo: CarriedFacts = field(default_factory=lambda: CarriedFacts({}, {}, {}))
     is_stripped: bool = False
+
+    def exif_bytes(self, *, wh: tuple[int, int]) -> bytes:
+        """Write EXIF of an upright picture; empty for one that is stripped.
+
+        Args:
+            wh: width and height, px.
+        """
+        return b"" if self.is_stripped else self.of_photo.exif_bytes(wh=wh, software=self.software)
+
+    def exr_attributes(self) -> dict[str, str | float]:
+        """Attributes of an EXR; none for one that is stripped."""
+        if self.is_stripped:
+            return {}
+        software: dict[str, str | float] = {"software": self.software} if self.software else {}
+        return software | exr_attributes(self.of_photo, done=self.done)
 
 
 def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None:
@@ -60,7 +80,7 @@ def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None
     writers = {".jpg": _jpeg, ".tif": _tiff}
     if path.suffix not in writers:
         raise UsageError(f"{path}: a picture is written as {' or '.join((*writers, '.exr'))}")
-    encoded = writers[path.suffix](np.clip(np.nan_to_num(image, nan=0.0), 0, 1), facts)
+    encoded = writers[path.suffix](image, facts)
     with replacing(path) as temporary:
         temporary.write_bytes(encoded)
 
@@ -69,15 +89,22 @@ def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
     told: dict[str, bytes] = {}
     of_photo = facts.of_photo
     if not facts.is_stripped:
-        wh = image.shape[1], image.shape[0]
-        told["exif"] = of_photo.exif_bytes(wh=wh, software=facts.software)
+        told["exif"] = facts.exif_bytes(wh=(image.shape[1], image.shape[0]))
         told["xmp"] = of_photo.xmp_packet(software=facts.software, done=facts.done)
-    if of_photo.profile is not None:
-        told["icc_profile"] = of_photo.profile
+    if of_photo.picture_profile is not None:
+        told["icc_profile"] = of_photo.picture_profile
     stream = BytesIO()
-    levels = Image.fromarray((image * 255 + 0.5).astype(np.uint8))
-    levels.save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
+    Image.fromarray(_levels(image, np.uint8)).save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
     return stream.getvalue()
+
+
+def _levels(image: FloatImage, kind: type[Level]) -> NDArray[Level]:
+    """Round to whole levels, strip by strip: between its steps the formula leaves a few times the picture."""
+    levels = np.empty(image.shape, kind)
+    for top in range(0, len(image), _STRIP_ROWS):
+        strip = np.clip(np.nan_to_num(image[top : top + _STRIP_ROWS], nan=0.0), 0, 1)
+        levels[top : top + _STRIP_ROWS] = (strip * np.iinfo(kind).max + 0.5).astype(kind)
+    return levels
 
 
 def _write_exr(path: Path, image_srgb: FloatImage, facts: PictureFacts) -> None:
@@ -86,8 +113,7 @@ def _write_exr(path: Path, image_srgb: FloatImage, facts: PictureFacts) -> None:
 
     light = linear_from_srgb(np.maximum(np.nan_to_num(image_srgb, nan=0.0), 0)).astype(np.float16)
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    if not facts.is_stripped:
-        header |= {"software": facts.software, "comments": facts.done}
+    header |= facts.exr_attributes()
     OpenEXR.File(header, {"RGB": light}).write(str(path))
 
 
@@ -102,7 +128,7 @@ def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
     stream = BytesIO()
     tifffile.imwrite(
         stream,
-        (image * 65535 + 0.5).astype(np.uint16),
+        _levels(image, np.uint16),
         photometric="rgb",
         compression="adobe_deflate",
         compressionargs={"level": 1},
@@ -110,7 +136,7 @@ def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
         rowsperstrip=256,
         software=False if facts.is_stripped else facts.software,
         metadata=None,
-        iccprofile=of_photo.profile,
+        iccprofile=of_photo.picture_profile,
         extratags=tags,
     )
     return stream.getvalue()

@@ -113,6 +113,12 @@ def _opened(path: Path, stream: BinaryIO, kind: PhotoFormat) -> Image.Image:
     return photo
 
 
+def has_wider_colours(photo: Image.Image) -> bool:
+    """Whether a photo without a profile states, by numbers of ITU-T H.273, other colours than those of sRGB."""
+    numbers = photo.info.get("nclx_profile")
+    return isinstance(numbers, dict) and int(numbers.get("color_primaries", 2)) not in _SDR_SRGB_PRIMARIES
+
+
 def _warn_of_colours(path: Path, photo: Image.Image) -> None:
     """Say which colours are read wrongly: those told by numbers (ITU-T H.273) instead of by a profile."""
     numbers = photo.info.get("nclx_profile")
@@ -121,5 +127,5 @@ def _warn_of_colours(path: Path, photo: Image.Image) -> None:
     transfer = _HDR_TRANSFERS.get(int(numbers.get("transfer_characteristics", 2)))
     if transfer:
         _log.warning("%s is an HDR photo (%s); its tones are read as sRGB", path, transfer)
-    elif int(numbers.get("color_primaries", 2)) not in _SDR_SRGB_PRIMARIES:
+    elif has_wider_colours(photo):
         _log.warning("%s has wider colours than sRGB; they are read as sRGB", path)

@@ -47,7 +47,7 @@ PictureOption = Annotated[
     ),
 ]
 StripOption = Annotated[
-    bool, typer.Option("--strip", help="Leave EXIF, GPS, date and XMP of the photo out of the bokeh.")
+    bool, typer.Option("--strip", help="Leave EXIF, GPS, date and XMP of the photo out of the files.")
 ]
 PreviewOption = Annotated[
     bool, typer.Option("--preview", help="A small bokeh_preview.jpg in an instant, for trying focus and blur.")
@@ -109,7 +109,7 @@ class BokehWords:
         )
 
     def options_if(self, *, is_asked: bool) -> BokehOptions | None:
-        """Return the options where a picture is asked for; elsewhere None, and words that shape it are refused.
+        """Return the options where a picture is asked for; elsewhere None, and words that shape it alone are refused.
 
         Args:
             is_asked: whether it is.
@@ -119,10 +119,10 @@ class BokehWords:
         """
         if is_asked:
             return self.options()
-        if self != BokehWords():
+        if self != BokehWords(strip=self.strip):
             raise UsageError(
-                "--focus, --f-number, --equiv-focal, --strength, --blades, --highlights, --picture, --strip and "
-                "--preview shape the bokeh picture",
+                "--focus, --f-number, --equiv-focal, --strength, --blades, --highlights, --picture and --preview shape "
+                "the bokeh picture",
                 hint="add --bokeh",
             )
         return None

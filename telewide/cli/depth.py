@@ -79,7 +79,6 @@ def depth(
     quiet: QuietOption = False,
 ) -> None:
     """Compute disparity, depth where the scale is known, and bokeh."""
-    refuse_beside_sgm(method, weights, device)
     options = depth_options(
         method=method,
         weights=weights,
@@ -90,6 +89,7 @@ def depth(
         distance=distance,
         formats=formats or (),
         only=tuple(only or ()),
+        is_stripped=strip,
     )
     from telewide.pipeline import depth_captures
     from telewide.stages.depth import recipe_of_depth
@@ -124,6 +124,7 @@ def depth_options(
     distance: str | None,
     only: tuple[str, ...] = (),
     formats: Sequence[str] = (),
+    is_stripped: bool = False,
 ) -> DepthOptions:
     """Turn words of the command line into the options of depth.
 
@@ -137,18 +138,18 @@ def depth_options(
         distance: as given to ``--distance``.
         only: as given to ``--only``.
         formats: as given to ``--format``.
+        is_stripped: whether ``--strip`` was given.
 
     Raises:
-        UsageError: a word that is none of the known ones, or a file that is not there.
+        UsageError: a word that is none of the known ones, or that has no effect, or a file that is not there.
         MissingPartError: a format whose extra is not installed.
     """
-    from telewide.depth.export import chosen_formats
     from telewide.depth.pin import parse_known_distance
     from telewide.stages.depth import DepthOptions
 
+    refuse_beside_sgm(method, weights, device)
     if weights is not None and not is_there(weights):
         raise UsageError(f"{weights} does not exist; a weights file was expected")
-    trusts_focus = distance == "exif"
     return DepthOptions(
         method=method,
         weights=weights,
@@ -156,11 +157,25 @@ def depth_options(
         out=out,
         device=device,
         rig=rig,
-        known=None if distance is None or trusts_focus else parse_known_distance(distance),
-        trusts_focus=trusts_focus,
+        known=parse_known_distance(distance) if distance is not None and distance != "exif" else None,
+        trusts_focus=distance == "exif",
         only=only,
-        formats=chosen_formats(formats),
+        formats=_formats(formats, is_stripped_alone=is_stripped and bokeh is None),
+        is_stripped=is_stripped,
     )
+
+
+def _formats(words: Sequence[str], *, is_stripped_alone: bool) -> tuple[str, ...]:
+    """Choose the depth files, some of which must hold facts where these are to be left out of them alone."""
+    from telewide.depth.export import WITH_FACTS, chosen_formats
+
+    chosen = chosen_formats(words)
+    if is_stripped_alone and not WITH_FACTS.intersection(chosen):
+        raise UsageError(
+            "--strip leaves facts of the photo out of files that hold any, and none of these does",
+            hint=f"add --bokeh, or a --format of {', '.join(sorted(WITH_FACTS))}",
+        )
+    return chosen
 
 
 def say_depth(done: DepthRun, observer: ConsoleObserver) -> None:

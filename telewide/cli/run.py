@@ -33,7 +33,7 @@ from telewide.cli.bokeh import (
     StripOption,
 )
 from telewide.cli.console import console_observer, hand_over, typed
-from telewide.cli.depth import depth_as_json, depth_options, refuse_beside_sgm, say_depth, why_not_good
+from telewide.cli.depth import depth_as_json, depth_options, say_depth, why_not_good
 
 RUN_EPILOG = "Example: `telewide run captures/ --recipe quick`"
 
@@ -67,7 +67,6 @@ def run_everything(
     from telewide.pipeline import run_captures
     from telewide.recipe import load_recipe
 
-    refuse_beside_sgm(method, None, device)
     words = BokehWords.of_call(context)
     options = depth_options(
         method=method,
@@ -78,6 +77,7 @@ def run_everything(
         rig=rig,
         distance=distance,
         formats=formats or (),
+        is_stripped=strip,
     )
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
     with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from telewide.geometry.arrays import FloatArray
 from telewide.geometry.rectification import MAX_TILT_DEG
@@ -25,7 +24,15 @@ from telewide.points.epipolar import (
     turned_points,
 )
 from telewide.points.matches import Matches
-from telewide.points.robust import Residuals, RobustFit, consensus_start, fit_robustly, numeric_jacobian, std_about_zero
+from telewide.points.robust import (
+    Residuals,
+    RobustFit,
+    consensus_start,
+    fit_robustly,
+    numeric_jacobian,
+    std_about_median,
+    std_about_zero,
+)
 
 ROTATION_PRIOR_RAD = float(np.radians(3.0))
 DIRECTION_PRIOR_RAD = 1.0
@@ -137,7 +144,7 @@ def _covariance(fit: RobustFit, posed: StereoRig, matches: Matches) -> FloatArra
     tele, wide = posed.tele.normalised(matches.ref_px), posed.wide.normalised(matches.src_px)
     at_infinity = turned_points(tele, rotation=posed.wide_from_tele[:3, :3])
     apart_px = posed.tele.f_px * (wide - at_infinity)
-    spread_px = median_abs_deviation(apart_px, axis=0, scale="normal")
+    spread_px = std_about_median(apart_px)
     noise_px = std_about_zero(fit.residuals)
     # the spread of n matches is itself known to 2 / sqrt(n) of it, at 95 %
     noise_share = (1 + 4 / np.sqrt(len(matches))) * noise_px**2 / max(float((spread_px**2).sum()) - noise_px**2, 1e-12)

@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from telewide.capture.images import write_image
+from telewide.capture.pictures import PictureFacts
 from telewide.depth.formats.contents import Contents, WrittenDepth
 from telewide.depth.formats.dynamic_depth_file import DYNAMIC_DEPTH_NAME, write_dynamic_depth
 from telewide.depth.formats.exr_file import EXR_NAME, write_exr
@@ -70,8 +71,10 @@ FORMATS = {
     "exr": DepthFormat(write_exr, (EXR_NAME,), module="OpenEXR", extra="exr"),
     "heic": DepthFormat(write_heic, (HEIC_NAME,), module="pillow_heif", extra="heif"),
 }
-WITH_EXIF = frozenset({"grey", "gdepth", "dynamic"})
-"""Formats whose JPEG of the photo says when and with what it was taken."""
+WITH_FACTS = frozenset({"grey", "gdepth", "dynamic", "exr", "heic"})
+"""Formats that say when and with what the photo was taken."""
+IN_OWN_COLOURS = frozenset({"heic"})
+"""Formats that hold the photo in the colours of its profile."""
 DEFAULT_FORMATS = ("pfm", "png", "npz")
 ALWAYS = "npz"
 """Files that telewide reads again, and so always writes."""
@@ -114,7 +117,8 @@ def write_depth(
     *,
     image: FloatMap | None = None,
     formats: Iterable[str] = DEFAULT_FORMATS,
-    exif: bytes = b"",
+    facts: PictureFacts | None = None,
+    own_colours: FloatMap | None = None,
 ) -> WrittenDepth:
     """Write the depth of one capture upright, each file atomically.
 
@@ -124,14 +128,15 @@ def write_depth(
         image: (H, W, 3) the ref photo, RGB in [0, 1], turned as the result is, for the preview and for files that hold
             the photo; without it none of these is written.
         formats: names in `FORMATS`.
-        exif: for the JPEGs that hold the photo; empty for none.
+        facts: of the photo and the files, for those `WITH_FACTS`; None says nothing.
+        own_colours: the ref photo, turned likewise, in the colours of its profile where those are others than sRGB's.
 
     Returns:
         The paths and what to know about them.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    turned = None if image is None else upright(image, rotated_deg=result.rotated_deg)
-    contents = Contents(stood_upright(result), turned, exif)
+    turned, own = (None if i is None else upright(i, rotated_deg=result.rotated_deg) for i in (image, own_colours))
+    contents = Contents(stood_upright(result), turned, facts, own_colours=own)
     paths: list[Path] = []
     notes: list[str] = []
     for name in formats:

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import median_abs_deviation
 
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
+from telewide.points.robust import std_about_median
 
 DISTANCE_STD_SHARE = 0.01
 """Relative standard deviation of a measured distance, unless said otherwise."""
@@ -205,6 +205,6 @@ def _disparity_at(
     if not len(seen):
         raise InputError(f"{place} has no disparity", hint="choose a point with texture, away from edges")
     median_px = float(np.median(seen))
-    spread_px = max(_LEAST_SPREAD_PX, float(median_abs_deviation(seen, scale="normal")))
+    spread_px = max(_LEAST_SPREAD_PX, float(std_about_median(seen)))
     ray = np.append((at_px - geometry.ref_centre_px) / geometry.f_px, 1.0)
     return median_px, spread_px, float(np.linalg.norm(ray))

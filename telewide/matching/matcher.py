@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -24,6 +25,8 @@ training scenes of Middlebury 2006 with src as it is and with src three times co
 LEARNED_STD = ConfidenceStd(0.3, 8.0)
 """Likewise of the network that comes with telewide: 0.3, 0.9, 1.3, 2.4 and 5.3 px at confidences of 0.95, 0.75, 0.55,
 0.35 and 0.15."""
+WITH_CONFIDENCE = frozenset({"guided"})
+"""Networks that have learned how sure they are; here by name, so that none is built to tell."""
 
 
 class Match(Protocol):
@@ -43,12 +46,12 @@ class Matcher:
         name: what tells it from others, as it stands in tables and records.
         match: (ref, src, window) to the disparity of ref.
         window: disparities it was trained for, px, searched beside what the pairs need; None where it was not trained.
-        doubt: what is to be said before it is used.
         confidence_std: what its confidence says of a disparity; None where it was never held against errors.
+        load: reads what it matches with, which the first match does otherwise.
     """
 
     name: str
     match: Match
     window: Window | None = None
-    doubt: str | None = None
     confidence_std: ConfidenceStd | None = SEMIGLOBAL_STD
+    load: Callable[[], object] = lambda: None

@@ -35,7 +35,8 @@ from telewide.training.stages import plan_stages
 
 _log = logging.getLogger("telewide")
 CAPTURES_A_PAGE = 12
-BOKEH_PICTURES = {"bokeh": "bokeh.jpg", "bokeh, preview": "bokeh_preview.jpg"}
+PAGE_NAME = "report.html"
+BOKEH_NAME = "bokeh.jpg"
 _POLICY = b"default-src 'none'; img-src data:"  # stands in the head of every page of any version
 _HEAD_BYTES = 1024
 _MOST_PAGE_BYTES = 1 << 28
@@ -65,8 +66,9 @@ def report_row(
     tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
     pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
     others = {"wide": wide}
-    bokeh = {label: folder / name for label, name in BOKEH_PICTURES.items() if is_file(folder / name)}
-    others |= {label: read_image(path) for label, path in bokeh.items()}
+    bokeh = folder / BOKEH_NAME
+    if is_file(bokeh):
+        others["bokeh"] = read_image(bokeh)
     viewed = None
     try:
         disparity = read_disparity(folder / NPZ_NAME)
@@ -84,7 +86,8 @@ def report_row(
             )
     except TelewideError as error:
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
-    pictures += [thumbnail(label, others[label], link=_link(path, root)) for label, path in bokeh.items()]
+    if "bokeh" in others:
+        pictures.append(thumbnail("bokeh", others["bokeh"], link=_link(bokeh, root)))
     return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
 
 
@@ -150,7 +153,7 @@ def write_run_page(
         Path of the first page; None where a file of somebody else's lies there.
     """
     starts = range(0, max(len(names), 1), CAPTURES_A_PAGE)
-    files = [root / (f"report-{at + 1}.html" if at else "report.html") for at in range(len(starts))]
+    files = [root / (f"report-{at + 1}.html" if at else PAGE_NAME) for at in range(len(starts))]
     if any(not is_own_page(file) for file in files):
         return None
     known = iter(rows)
@@ -176,8 +179,11 @@ def write_run_page(
 
 def is_own_page(path: Path) -> bool:
     """Whether nothing lies there, or a page that telewide wrote."""
-    if not os.path.lexists(path):
-        return True
+    return not os.path.lexists(path) or is_page(path)
+
+
+def is_page(path: Path) -> bool:
+    """Whether a page that telewide wrote lies there."""
     try:
         return _POLICY in read_regular(path, most_bytes=_MOST_PAGE_BYTES)[:_HEAD_BYTES]
     except TelewideError:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import median_abs_deviation
 
 from telewide.geometry.arrays import FloatArray
 
@@ -28,6 +27,7 @@ _NOISE_PX = 0.3
 _CONSENSUS_PX = 1.5
 _SAMPLES = 300
 _STEP = 1e-3
+_MEDIAN_OF_NORMAL = 0.6744897501960817  # of the sizes of normal numbers of deviation 1
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,19 @@ def std_about_zero(residuals: FloatArray) -> float:
     Args:
         residuals: (N,) of any sign, N > 0.
     """
-    return float(median_abs_deviation(residuals, center=lambda values, axis: np.float64(0), scale="normal"))
+    return float(np.median(np.abs(residuals)) / _MEDIAN_OF_NORMAL)
+
+
+def std_about_median(values: FloatArray) -> FloatArray:
+    """Standard deviation of normal values, from their median distance to their median; outliers do not sway it.
+
+    Args:
+        values: (N, ...), N > 0.
+
+    Returns:
+        (...), of each column.
+    """
+    return np.asarray(np.median(np.abs(values - np.median(values, axis=0)), axis=0) / _MEDIAN_OF_NORMAL)
 
 
 def fit_robustly(

@@ -89,7 +89,7 @@ def bokeh_of_capture(
         focus=named_focus(options.focus, subject_uv, hw=(photo.shape[0], photo.shape[1])),
         disparity_at_m=result.disparity_at,
     )
-    own = _in_own_colours(photo, source, carried, turned_deg=turned_deg)
+    own = in_own_colours(photo, source, carried, turned_deg=turned_deg)
     render = bokeh_preview if options.is_preview else bokeh_picture
     pixels = render(own, maps, options=options, baseline_m=baseline_m, focus=focus)
     numbers = _focus_numbers(focus, result)
@@ -108,8 +108,18 @@ def bokeh_of_capture(
     return CaptureBokeh(files, tuple(told for told in (note, held_back, no_exr) if told is not None), numbers)
 
 
-def _in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, turned_deg: int) -> FloatMap:
-    """The photo in the colours of its profile, which may be wider than sRGB; light adds up in those as well."""
+def in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, turned_deg: int) -> FloatMap:
+    """Return the tele photo in the colours of its profile, which may be wider than sRGB.
+
+    Args:
+        photo: (H, W, 3) upright, sRGB.
+        source: where it is read from again, unless its colours are those of sRGB.
+        carried: its facts.
+        turned_deg: how far it was turned clockwise to stand upright.
+
+    Returns:
+        (H, W, 3) in [0, 1]; light adds up in these colours as well.
+    """
     if carried.profile is None or not is_other_than_srgb(carried.profile):
         return photo
     return upright(read_image(source.tele_path, is_converted=False), rotated_deg=turned_deg)

@@ -19,8 +19,9 @@ from telewide.bokeh.picture import HELD_BACK, BokehOptions
 from telewide.capture.carried import read_carried
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
 from telewide.capture.photo_store import PhotoStore
-from telewide.capture.pictures import write_picture
-from telewide.depth.export import ALWAYS, DEFAULT_FORMATS, WITH_EXIF, file_names, write_depth
+from telewide.capture.pictures import PictureFacts, write_picture
+from telewide.cores import return_freed_memory
+from telewide.depth.export import ALWAYS, DEFAULT_FORMATS, IN_OWN_COLOURS, WITH_FACTS, file_names, write_depth
 from telewide.depth.formats.contents import WrittenDepth
 from telewide.depth.formats.numpy_archive import NPZ_NAME, read_result
 from telewide.depth.precision_notes import ALL_NEGATIVE
@@ -38,6 +39,7 @@ from telewide.stages.capture_bokeh import (
     CaptureBokeh,
     bokeh_names,
     bokeh_of_capture,
+    in_own_colours,
     no_bokeh_note,
     no_exr_note,
     software,
@@ -129,6 +131,7 @@ def depth_of_capture(
     shot: ShotGeometry | None = None,
     photos: PhotoStore | None = None,
     formats: tuple[str, ...] = DEFAULT_FORMATS,
+    is_stripped: bool = False,
 ) -> DepthOutcome | DepthFailure:
     """Make depth, and bokeh if asked, of one capture; what lies there already is not made again.
 
@@ -144,6 +147,7 @@ def depth_of_capture(
         shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
         photos: where the tele photo may be kept; None decodes it.
         formats: of the depth files, the npz among them.
+        is_stripped: whether they are to say nothing of the photo but its colour profile.
 
     Returns:
         The files, and what was measured; or why there are none: one bad capture does not stop the others.
@@ -153,16 +157,14 @@ def depth_of_capture(
     try:
         refuse_links(folder.parent, folder)
         key = {**key, "truth_sha256": source.truth_path and fingerprint(source.truth_path)}
-        kept = read_kept(folder, key)
-        if kept is not None:
+        if (kept := read_kept(folder, key)) is not None:
             return replace(_outcome(source.name, folder, kept), is_kept=True)
         _refuse_others_files(folder, source, (*file_names(formats), *bokeh_names(bokeh), KEPT_NAME))
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
-            if found is None:
-                found = _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
+            found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
             picture = found.bokeh(source, bokeh, turned_deg=turned_deg)
-        made = _put(found, picture, folder, formats=formats, key=key, source=source.tele_path)
+        made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
     return replace(_outcome(source.name, folder, made), is_depth_kept=found.lying is not None)
@@ -192,7 +194,34 @@ class _Depth:
     def bokeh(self, source: Capture, options: BokehOptions | None, *, turned_deg: int) -> CaptureBokeh | None:
         if options is None:
             return None
-        return bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
+        picture = bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
+        return_freed_memory()
+        return picture
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Depth files that are asked for, and the photos they are made of."""
+
+    source: Capture
+    turned_deg: int
+    formats: tuple[str, ...]
+    is_stripped: bool
+
+    def is_lying_there(self, kept: KeptDepth) -> bool:
+        """Whether just these files are kept."""
+        is_same = self.is_stripped == kept.depth.is_stripped or not WITH_FACTS.intersection(self.formats)
+        return is_same and kept.depth.formats == self.formats and kept.is_whole
+
+    def written(self, folder: Path, depth: _Depth, *, formats: tuple[str, ...]) -> WrittenDepth:
+        """Write files of some of the formats."""
+        facts = own = None
+        if WITH_FACTS.intersection(formats):
+            carried = read_carried(self.source.tele_path)
+            facts = PictureFacts(software(), of_photo=carried, is_stripped=self.is_stripped)
+            if IN_OWN_COLOURS.intersection(formats):
+                own = in_own_colours(depth.photo, self.source, carried, turned_deg=self.turned_deg)
+        return write_depth(folder, depth.result, image=depth.photo, formats=formats, facts=facts, own_colours=own)
 
 
 def _kept(
@@ -228,6 +257,8 @@ def _matched(
     pair = read_pair(held_out.capture)
     window = within_width(window, pair.tele.shape[1])
     working = match(pair.tele, pair.wide, window=window, valid=pair.valid)
+    del pair
+    return_freed_memory()
     numbers = {"match_s": time.monotonic() - begun_s}
     photo = photos.read(source.tele_path)
     result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
@@ -235,6 +266,7 @@ def _matched(
     errors, unjudged = _errors_by_truth(source, result, is_mirrored=shot is None and facts.wide_side == "left")
     numbers |= errors
     photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
+    return_freed_memory()
     numbers["total_s"] = time.monotonic() - begun_s
     return _Depth(photo, result, (*metric_notes, *unjudged), numbers=numbers, withheld=withheld)
 
@@ -259,17 +291,16 @@ def _put(
     bokeh: CaptureBokeh | None,
     folder: Path,
     *,
-    formats: tuple[str, ...],
+    asked: _Asked,
     key: Mapping[str, object],
-    source: Path,
 ) -> KeptDepth:
     """Write all files of one capture, which appear together."""
     with fresh_folder(folder.parent) as new:
-        exif = _exif_without_place(source, depth.photo) if WITH_EXIF.intersection(formats) else b""
-        written = _write_depth(new, depth, former=folder, formats=formats, exif=exif)
+        written = _write_depth(new, depth, former=folder, asked=asked)
         part = DepthPart(
             npz_sha256=fingerprint(new / NPZ_NAME),
-            formats=formats,
+            formats=asked.formats,
+            is_stripped=asked.is_stripped,
             notes=depth.notes,
             file_notes=written.notes,
             numbers=dict(depth.numbers),
@@ -279,30 +310,23 @@ def _put(
         notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes))
         numbers = {**depth.numbers, **({} if bokeh is None else bokeh.numbers)}
         made = KeptDepth(tuple(names), notes, numbers, withheld=depth.withheld, depth=part)
-        write_kept(new, made, key=key, source=source)
+        write_kept(new, made, key=key, source=asked.source.tele_path)
         put_in_place(new, folder)
     return made
 
 
-def _exif_without_place(source: Path, photo: FloatMap) -> bytes:
-    """EXIF for files that are made to be handed on: camera, exposure and date; no GPS."""
-    carried = replace(read_carried(source), gps={})
-    return carried.exif_bytes(wh=(photo.shape[1], photo.shape[0]), software=software())
-
-
-def _write_depth(folder: Path, depth: _Depth, *, former: Path, formats: tuple[str, ...], exif: bytes) -> WrittenDepth:
+def _write_depth(folder: Path, depth: _Depth, *, former: Path, asked: _Asked) -> WrittenDepth:
     """Write the depth files into a folder; what lies in the former one of this very depth is taken over."""
-    lying, photo = depth.lying, depth.photo
+    lying = depth.lying
     if lying is None:
-        return write_depth(folder, depth.result, image=photo, formats=formats, exif=exif)
-    if lying.depth.formats == formats and lying.is_whole:
+        return asked.written(folder, depth, formats=asked.formats)
+    if asked.is_lying_there(lying):
         names = [name for name in lying.files if name in DEPTH_NAMES]
         for name in names:
             _take_over(former / name, folder / name)
         return WrittenDepth(tuple(folder / name for name in names), lying.depth.file_notes)
     _take_over(former / NPZ_NAME, folder / NPZ_NAME)
-    others = tuple(name for name in formats if name != ALWAYS)
-    written = write_depth(folder, depth.result, image=photo, formats=others, exif=exif)
+    written = asked.written(folder, depth, formats=tuple(name for name in asked.formats if name != ALWAYS))
     return WrittenDepth((folder / NPZ_NAME, *written.paths), written.notes)
 
 

@@ -51,6 +51,7 @@ class DepthOptions:
         trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
         only: names of the captures to take; empty for all.
         formats: of the depth files, the npz among them.
+        is_stripped: whether the depth files are to say nothing of the photo; the bokeh has an option of its own.
     """
 
     method: Method = "network"
@@ -63,6 +64,7 @@ class DepthOptions:
     trusts_focus: bool = False
     only: tuple[str, ...] = ()
     formats: tuple[str, ...] = DEFAULT_FORMATS
+    is_stripped: bool = False
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
     recipe = _recipe_of_run(run, captures_root)
     if weights is None or not is_file(weights):
         return recipe
-    from telewide.training.checkpoint import read_card
+    from telewide.training.weights_card import read_card
 
     taught = parse_options(Recipe, read_card(weights).recipe, source=str(weights), error=InputError)
     return recipe.model_copy(update={name: getattr(taught, name) for name in OF_THE_PAIRS})
@@ -276,6 +278,7 @@ def _depth_of(
         shot=shot,
         photos=call.photos,
         formats=options.formats,
+        is_stripped=options.is_stripped,
     )
 
 
@@ -322,6 +325,7 @@ def _depth_key(
         "window": window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
         "formats": options.formats,
+        "is_stripped": options.is_stripped,
         "precision": None if shot is None else asdict(shot.precision),
         "known": None if shot is None or shot.known is None else asdict(shot.known),
     }

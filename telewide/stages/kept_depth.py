@@ -27,7 +27,7 @@ PREVIEW_BOKEH_NAME = "bokeh_preview.jpg"
 DEPTH_NAMES = file_names(FORMATS)
 FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES, PREVIEW_BOKEH_NAME)
 """Of all files of one capture; some are left out where they cannot be made."""
-MADE_OF_DEPTH = ("bokeh", "formats")
+MADE_OF_DEPTH = ("bokeh", "formats", "is_stripped")
 """Keys of what is made of a depth that is known; the depth itself does not depend on them."""
 
 
@@ -37,6 +37,7 @@ class DepthPart(Record):
     Attributes:
         npz_sha256: fingerprint of ``depth.npz``, from which the depth is taken again; None where it was not written.
         formats: of the depth files that lie there.
+        is_stripped: whether they say nothing of the photo.
         notes: on the depth, its metres for instance.
         file_notes: on the depth files that lie there.
         numbers: measured of the depth.
@@ -44,6 +45,7 @@ class DepthPart(Record):
 
     npz_sha256: str | None = None
     formats: tuple[str, ...] = ()
+    is_stripped: bool = False
     notes: tuple[Line, ...] = ()
     file_notes: tuple[Line, ...] = ()
     numbers: dict[str, Figure] = Field(default_factory=dict)
@@ -146,6 +148,21 @@ def _without_later(key: Mapping[str, JsonValue]) -> dict[str, JsonValue]:
 def _as_kept(record: KeptRecord) -> KeptDepth:
     files = tuple(record.files_bytes)
     return KeptDepth(files, record.notes, record.numbers, withheld=record.withheld, depth=record.depth)
+
+
+def matcher_of(folder: Path) -> str | None:
+    """Name of the matcher that made the depth in a folder; None where none lies there.
+
+    Args:
+        folder: of one capture.
+    """
+    try:
+        record = read_record(folder / KEPT_NAME, KeptRecord)
+    except TelewideError:
+        return None
+    is_there = record.format == FORMAT and record.depth.npz_sha256 is not None and is_file(folder / NPZ_NAME)
+    name = record.key.get("matcher")
+    return name if is_there and isinstance(name, str) else None
 
 
 def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:

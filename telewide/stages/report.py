@@ -9,7 +9,7 @@ from pathlib import Path
 from telewide.bokeh.picture import BokehOptions
 from telewide.capture.pair import read_photos
 from telewide.pages.report import NextStep, ReportRow
-from telewide.pages.run_page import next_steps, report_row, steps_after_depth, write_run_page
+from telewide.pages.run_page import PAGE_NAME, is_page, next_steps, report_row, steps_after_depth, write_run_page
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
 from telewide.stages.kept_depth import KEPT_NAME
@@ -42,6 +42,8 @@ def _written(
     if not call.processes.is_writer:
         return done
     root = call.folder.root if done.folder == call.folder.depth else done.folder
+    if _is_trial(done, bokeh) and is_page(root / PAGE_NAME):
+        return done
     page = write_run_page(
         root,
         _rows(call, done, root=root, bokeh=bokeh),
@@ -52,10 +54,16 @@ def _written(
         facts={"captures": str(call.captures.root), "command": call.invocation.again()},
     )
     if page is None:
-        call.observer.warned(f"{root / 'report.html'} is not a page of telewide's, so it is left as it is: no report")
+        call.observer.warned(f"{root / PAGE_NAME} is not a page of telewide's, so it is left as it is: no report")
     elif others := _others(done):
         call.observer.said(f"{page} shows what this call was given; {others} more lie in {done.folder}")
     return replace(done, report=page)
+
+
+def _is_trial(done: DepthRun, bokeh: BokehOptions | None) -> bool:
+    """Whether a call made previews alone, of depth that lay there; no page shows them."""
+    is_preview = bokeh is not None and bokeh.is_preview
+    return is_preview and all(outcome.is_kept or outcome.is_depth_kept for outcome in done.outcomes)
 
 
 def _others(done: DepthRun) -> int:

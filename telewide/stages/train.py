@@ -45,7 +45,6 @@ from telewide.training.checkpoint import (
     load_state,
     new_optimiser,
     new_state,
-    read_card,
     save_state,
 )
 from telewide.training.judge import JUDGE_SEED, Judge, crops_judge, joined_judge, judge_stage, network_judge
@@ -54,6 +53,7 @@ from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
 from telewide.training.samples import CropArea, SampleSource, fitting_crop
 from telewide.training.stages import Stage, plan_stages
+from telewide.training.weights_card import read_card
 from telewide.training.world_samples import WorldBatches, WorldSource
 
 _OWN_FILES = re.compile(

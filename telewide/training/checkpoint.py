@@ -18,25 +18,21 @@ from typing import cast
 
 import torch
 from pydantic import JsonValue
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
 from telewide.errors import InputError, UsageError
-from telewide.files import open_regular, refuse_strange_file, replacing
+from telewide.files import refuse_strange_file, replacing
 from telewide.matching.checkpoint_files import check_archive
 from telewide.matching.networks import StereoNetwork, build_network
-from telewide.matching.window import Window, check_stated_window
 from telewide.records import checked, parse_json
 from telewide.text import json_text
 from telewide.training.spaces import build_space
 from telewide.training.stages import Stage
+from telewide.training.weights_card import FORMAT, LENGTH_BYTES, WeightsCard, no_weights, read_card
 
-FORMAT = "1"
 STATE_NAME = "state.pt"
-_MOST_HEADER_BYTES = 1 << 22
-"""Of a weights file: names and shapes of the largest network take a twentieth, a recipe a thousandth."""
-_LENGTH_BYTES = 8  # of a safetensors file begin it, and say how long its header is
 
 
 @dataclass
@@ -274,30 +270,6 @@ def frozen_extractor(network: StereoNetwork) -> nn.Module:
     return copy.deepcopy(network.features).eval().requires_grad_(False)
 
 
-@dataclass(frozen=True)
-class WeightsCard:
-    """Card of a weights file: what it says of itself.
-
-    Attributes:
-        network: name of the network.
-        window: disparities it was trained for, px.
-        recipe: resolved recipe, as plain data.
-        training: stage, step and judgement the weights come from.
-    """
-
-    network: str
-    window: Window
-    recipe: Mapping[str, object]
-    training: Mapping[str, object]
-
-    @property
-    def searched_window(self) -> Window | None:
-        """Disparities that the captures of its training needed, px; None where it saw worlds alone."""
-        options = self.recipe.get("train")
-        saw_worlds = isinstance(options, Mapping) and options.get("worlds") is True
-        return None if saw_worlds else self.window
-
-
 def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> None:
     """Write weights with their card, whole or not at all."""
     metadata = {
@@ -315,12 +287,12 @@ def save_weights(network: StereoNetwork, path: Path, *, card: WeightsCard) -> No
 
 def _with_facts_in_order(content: bytes) -> bytes:
     """Sort what a safetensors file says of itself, which comes in any order: equal weights are equal files."""
-    end = _LENGTH_BYTES + int.from_bytes(content[:_LENGTH_BYTES], "little")
-    header = checked(parse_json(content[_LENGTH_BYTES:end]), dict[str, dict[str, JsonValue]])
+    end = LENGTH_BYTES + int.from_bytes(content[:LENGTH_BYTES], "little")
+    header = checked(parse_json(content[LENGTH_BYTES:end]), dict[str, dict[str, JsonValue]])
     header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
     text = json_text(header).encode()
-    text += b" " * (-len(text) % _LENGTH_BYTES)  # tensors begin at a multiple of it
-    return len(text).to_bytes(_LENGTH_BYTES, "little") + text + content[end:]
+    text += b" " * (-len(text) % LENGTH_BYTES)  # tensors begin at a multiple of it
+    return len(text).to_bytes(LENGTH_BYTES, "little") + text + content[end:]
 
 
 def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, WeightsCard]:
@@ -339,31 +311,5 @@ def load_weights(path: Path, *, device: torch.device) -> tuple[StereoNetwork, We
     except UsageError as error:
         raise InputError(f"{path}: {error.message}", hint=error.hint) from error
     except (OSError, SafetensorError, ValueError, RuntimeError) as error:
-        raise _no_weights(path) from error
+        raise no_weights(path) from error
     return network.to(device).eval(), card
-
-
-def read_card(path: Path) -> WeightsCard:
-    """Read what a weights file says of itself.
-
-    Raises:
-        UsageError: there is no such file.
-        InputError: the file is corrupt, or holds something else.
-    """
-    with open_regular(path) as stream:
-        header_bytes = int.from_bytes(stream.read(_LENGTH_BYTES), "little")
-    if header_bytes > _MOST_HEADER_BYTES:  # of a file of another kind it means nothing, and is as large
-        raise _no_weights(path)
-    try:
-        with safe_open(path, framework="pt") as opened:
-            metadata = opened.metadata() or {}
-        said = {name: parse_json(metadata[name]) for name in ("window", "recipe", "training")}
-        card = checked({**said, "network": metadata["network"]}, WeightsCard)
-        check_stated_window(card.window)
-        return card
-    except (OSError, SafetensorError, KeyError, ValueError, RuntimeError) as error:
-        raise _no_weights(path) from error
-
-
-def _no_weights(path: Path) -> InputError:
-    return InputError(f"{path} is no weights file of telewide, or is corrupt", hint="train a network to make one")

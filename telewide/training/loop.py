@@ -27,7 +27,6 @@ from telewide.training.checkpoint import (
     STATE_NAME,
     BestWeights,
     TrainingState,
-    WeightsCard,
     frozen_extractor,
     learner_of,
     load_weights,
@@ -43,6 +42,7 @@ from telewide.training.processes import Processes
 from telewide.training.reporter import Reporter
 from telewide.training.spaces import build_space, space_objective
 from telewide.training.stages import Stage, plan_stages
+from telewide.training.weights_card import WeightsCard
 
 CHECKPOINT_EVERY_S = 20.0
 WARM_UP_STEPS = 50

@@ -13,7 +13,8 @@ from telewide.errors import UsageError
 
 def save(path: Path, *, seed: int) -> None:
     from telewide.matching.networks import build_network
-    from telewide.training.checkpoint import WeightsCard, save_weights
+    from telewide.training.checkpoint import save_weights
+    from telewide.training.weights_card import WeightsCard
 
     path.parent.mkdir(parents=True, exist_ok=True)
     save_weights(build_network("lite", seed=seed), path, card=WeightsCard("lite", (0, 32), {}, {}))

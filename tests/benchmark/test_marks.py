@@ -34,7 +34,8 @@ from telewide.matching.window import Window
 from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.run_folder import RunFolder
-from telewide.training.checkpoint import WeightsCard, save_weights
+from telewide.training.checkpoint import save_weights
+from telewide.training.weights_card import WeightsCard
 
 P30_MARKS = Path(__file__).with_name("p30_marks.yaml")
 HW = (120, 160)

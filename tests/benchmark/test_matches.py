@@ -36,7 +36,8 @@ from telewide.recipe import Recipe, load_recipe
 from telewide.simulate.captures import write_captures
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.run_folder import RunFolder
-from telewide.training.checkpoint import WeightsCard, save_weights
+from telewide.training.checkpoint import save_weights
+from telewide.training.weights_card import WeightsCard
 
 OFF_PX = 2.0
 OF_ALL = {ALL, AWAY_FROM_EDGES}

@@ -15,7 +15,7 @@ from telewide.benchmark.memory import SGM, MemoryCase, measure_peak, peak_reside
 from telewide.benchmark.report import write_report_json
 from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
 from telewide.errors import TelewideError, UsageError
-from telewide.training.checkpoint import read_card
+from telewide.training.weights_card import read_card
 
 TINY = SpeedOptions(
     device="cpu",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import time
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -13,10 +15,12 @@ import pytest
 import tifffile
 from capture.dng import write_dng
 from capture.profiles import DISPLAY_P3, matrix_profile
-from PIL import Image
+from PIL import Image, ImageCms
 from PIL.TiffImagePlugin import IFDRational
 
-from telewide.capture.carried import read_carried
+from telewide.capture.carried import CarriedFacts, read_carried
+from telewide.capture.colour_profiles import srgb_profile
+from telewide.capture.exr_attributes import exr_attributes
 from telewide.capture.pictures import PictureFacts, write_picture
 from telewide.errors import UsageError
 
@@ -134,6 +138,61 @@ def test_a_tiff_has_sixteen_bits(tmp_path: Path, photo: Path, image: np.ndarray)
         tags = read.pages[0].tags
         assert (tags[271].value, tags[305].value, tags[34675].value) == ("Maker", "telewide 9", PROFILE)
         assert b"blurred" in tags[700].value
+
+
+@pytest.mark.parametrize("name", ["bokeh.jpg", "bokeh.tif"])
+@pytest.mark.parametrize("is_stripped", [False, True])
+def test_a_picture_of_a_photo_without_a_profile_says_that_it_is_srgb(
+    tmp_path: Path, image: np.ndarray, name: str, *, is_stripped: bool
+) -> None:
+    """Little CMS reads the profile and changes no colour by it."""
+    Image.new("RGB", (8, 8)).save(tmp_path / "tele.jpg")
+    facts = PictureFacts("telewide 9", of_photo=read_carried(tmp_path / "tele.jpg"), is_stripped=is_stripped)
+    write_picture(tmp_path / name, image, facts=facts)
+    with Image.open(tmp_path / name) as read:
+        profile = ImageCms.ImageCmsProfile(BytesIO(read.info["icc_profile"]))
+    colours = Image.fromarray((image * 255).astype(np.uint8))
+    seen = ImageCms.profileToProfile(colours, profile, ImageCms.createProfile("sRGB"))
+    assert seen is not None
+    np.testing.assert_allclose(np.asarray(seen, dtype=int), np.asarray(colours, dtype=int), atol=1)
+
+
+def test_the_profile_of_srgb_is_the_same_at_any_time() -> None:
+    """Of all its bytes, those that a second changes are set: Little CMS dates what it makes."""
+    first = srgb_profile()
+    srgb_profile.cache_clear()
+    time.sleep(1.1)
+    assert srgb_profile() == first
+    assert len(first) == int.from_bytes(first[:4], "big")
+    dated = ImageCms.ImageCmsProfile(BytesIO(first)).profile.creation_date
+    assert dated is not None
+    assert dated.year == 1999
+
+
+@pytest.mark.parametrize(("space", "has_profile"), [(None, True), (1, True), (2, False), (65535, False)])
+def test_what_says_that_it_is_not_srgb_is_not_called_so(
+    tmp_path: Path, image: np.ndarray, space: int | None, *, has_profile: bool
+) -> None:
+    exif = Image.Exif()
+    exif[34665] = {} if space is None else {40961: space}
+    Image.new("RGB", (8, 8)).save(tmp_path / "tele.jpg", exif=exif)
+    write_picture(tmp_path / "bokeh.jpg", image, facts=PictureFacts(of_photo=read_carried(tmp_path / "tele.jpg")))
+    with Image.open(tmp_path / "bokeh.jpg") as read:
+        assert ("icc_profile" in read.info) == has_profile
+
+
+@pytest.mark.parametrize(
+    ("exif", "gps"),
+    [
+        ({33434: 0, 33437: "f/2", 34855: 65535, 36867: "0000:00:00 00:00:00", 37382: IFDRational(0xFFFFFFFF)}, {}),
+        ({33434: IFDRational(1, 0), 36867: "2026:05:04 10:11", 36881: "+0200", 37386: (6, 7)}, {1: "N", 2: (91, 0, 0)}),
+        ({36867: 7, 34855: (), 42036: "a\nb"}, {1: "N", 2: (48, 8, 0)}),
+        ({42036: b"Phone"}, {1: "X", 2: (4, 8, 0), 3: "E", 4: (1, 2, 3)}),
+    ],
+)
+def test_what_a_damaged_photo_states_is_no_attribute(exif: dict[int, object], gps: dict[int, object]) -> None:
+    told = exr_attributes(CarriedFacts({}, exif, gps), done="")
+    assert told in ({}, {"nominalFocalLength": 6.0})
 
 
 def test_facts_of_a_raw_are_carried_too(tmp_path: Path) -> None:

@@ -7,7 +7,9 @@ import pytest
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.picture import BokehOptions
 from telewide.cli.bokeh import BokehWords
+from telewide.cli.depth import depth_options
 from telewide.errors import UsageError
+from telewide.stages.depth import DepthOptions
 
 
 def test_no_words_are_the_defaults() -> None:
@@ -62,9 +64,31 @@ def test_words_that_shape_nothing_are_refused(words: dict[str, object], named: s
 
 @pytest.mark.parametrize(
     "words",
-    [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}, {"strip": True}, {"preview": True}],
+    [{"focus": "near"}, {"strength": "9"}, {"blades": "6"}, {"highlights": 2.0}, {"preview": True}],
 )
 def test_words_without_a_picture_are_refused(words: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="bokeh picture") as refusal:
         BokehWords(**words).options_if(is_asked=False)
     assert "--bokeh" in (refusal.value.hint or "")
+
+
+def test_stripping_needs_a_file_that_says_something() -> None:
+    assert asked(bokeh=None, formats=("heic",)).is_stripped
+    assert asked(bokeh=BokehOptions(), formats=("pfm",)).is_stripped
+    with pytest.raises(UsageError, match="--strip") as refusal:
+        asked(bokeh=None, formats=("pfm",))
+    assert "heic" in (refusal.value.hint or "")
+
+
+def asked(*, bokeh: BokehOptions | None, formats: tuple[str, ...]) -> DepthOptions:
+    return depth_options(
+        method="sgm",
+        weights=None,
+        bokeh=bokeh,
+        out=None,
+        device="cpu",
+        rig=None,
+        distance=None,
+        formats=formats,
+        is_stripped=True,
+    )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import median_abs_deviation
 
-from telewide.points.robust import RobustFit, consensus_start, fit_robustly
+from telewide.points.robust import RobustFit, consensus_start, fit_robustly, std_about_median, std_about_zero
 
 FloatArray = NDArray[np.float64]
 
@@ -61,3 +62,10 @@ def test_most_residuals_say_where_to_begin(rng: np.random.Generator) -> None:
     y[: len(y) // 3] = rng.uniform(-50, 50, len(y) // 3)
     start = consensus_start(-y, np.column_stack([np.ones_like(x), x]), prior_std=np.array([100.0, 100.0]))
     assert np.abs(start - (1.5, -0.7)).max() < 1.0
+
+
+def test_deviations_by_medians_are_those_of_scipy(rng: np.random.Generator) -> None:
+    values = rng.normal(3.0, 2.0, (501, 2))
+    np.testing.assert_allclose(std_about_median(values), median_abs_deviation(values, axis=0, scale="normal"))
+    about_zero = median_abs_deviation(values[:, 0], center=lambda of, axis: np.float64(0), scale="normal")
+    assert std_about_zero(values[:, 0]) == pytest.approx(about_zero)

@@ -14,8 +14,8 @@ from telewide.recipe import Recipe, load_recipe
 from telewide.stages import box
 from telewide.stages.box import train_box
 from telewide.training import world_samples
-from telewide.training.checkpoint import read_card
 from telewide.training.stages import Stage
+from telewide.training.weights_card import read_card
 
 SETTINGS = ("network=lite", "train.crop_hw=[64, 96]", "train.rehearsal.rehearsed=2", "train.judge_every_steps=2")
 

@@ -22,7 +22,8 @@ from telewide.matching.onnx_check import OnnxComparison, compare_onnx, example_v
 from telewide.matching.onnx_model import OnnxNetwork
 from telewide.matching.window import Window
 from telewide.stages import export_model as stage
-from telewide.training.checkpoint import WeightsCard, save_weights
+from telewide.training.checkpoint import save_weights
+from telewide.training.weights_card import WeightsCard
 
 WINDOW: Window = (-8, 24)
 MISSING = [name for name in ("onnx", "onnxruntime", "onnxscript") if find_spec(name) is None]

@@ -15,7 +15,8 @@ from telewide.capture.pair import PhotoPair
 from telewide.matching.methods import Method
 from telewide.matching.networks import build_network
 from telewide.recipe import load_recipe
-from telewide.training.checkpoint import WeightsCard, save_weights
+from telewide.training.checkpoint import save_weights
+from telewide.training.weights_card import WeightsCard
 
 
 @pytest.mark.parametrize(

@@ -71,11 +71,11 @@ def test_photos_are_kept_within_the_budget(captures: Path, monkeypatch: pytest.M
     first, second = (capture.tele_path for capture in find_captures(captures).captures)
     expected = {path: telewide.capture.images.read_image(path) for path in (first, second)}
     decoded = counted(monkeypatch, telewide.capture.images, "_decoded", lambda path, *_: path)
-    store = PhotoStore(max_bytes=expected[first].nbytes)
+    store = PhotoStore(max_bytes=expected[first].size)  # a byte a value of 8 bits
     for path in (first, second, first, second):
         np.testing.assert_array_equal(store.read(path), expected[path])
     assert decoded == {first: 1, second: 2}
-    assert store.kept_bytes == expected[first].nbytes
+    assert store.kept_bytes == expected[first].size
 
 
 @pytest.mark.parametrize("board", [None, pytest.param("chessboard_9x6", marks=pytest.mark.slow)])

@@ -20,17 +20,16 @@ from telewide.errors import InputError, TelewideError, UsageError
 from telewide.matching.networks import build_network
 from telewide.training.checkpoint import (
     TrainingState,
-    WeightsCard,
     frozen_extractor,
     load_state,
     load_weights,
     new_state,
-    read_card,
     save_state,
     save_weights,
 )
 from telewide.training.options import StageOptions, TrainOptions
 from telewide.training.stages import plan_stages
+from telewide.training.weights_card import WeightsCard, read_card
 
 CARD = WeightsCard(
     "lite", WINDOW, {"network": "lite", "seed": 3}, {"stage": "rehearsal", "step": 7, "clipped_px": [0.2]}

@@ -6,12 +6,13 @@ Letters: H W image; h w after thinning.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from telewide.capture.pictures import PictureFacts
 from telewide.depth.edges import fill_unknown
 from telewide.depth.result import DepthResult
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
@@ -39,16 +40,26 @@ class Contents:
     Attributes:
         result: its depth.
         image: (H, W, 3) float32, the tele photo, sRGB in [0, 1]; None where only the maps are at hand.
-        exif: of the photo in these files; empty for none.
+        facts: of the photo, and of the files themselves; None says nothing.
+        own_colours: the photo in the colours of its own profile, where those are others than sRGB's.
     """
 
     result: DepthResult
     image: FloatMap | None = None
-    exif: bytes = b""
+    facts: PictureFacts | None = None
+    own_colours: FloatMap | None = None
 
     def left_out(self, what: str, why: str) -> WrittenDepth:
         """Say that a file cannot be made of this capture."""
         return WrittenDepth((), (f"{self.result.name}: no {what}, {why}",))
+
+    @property
+    def exif_without_place(self) -> bytes:
+        """EXIF for files that are made to be handed on: camera, exposure and date; no GPS."""
+        if self.facts is None or self.image is None:
+            return b""
+        facts = replace(self.facts, of_photo=replace(self.facts.of_photo, gps={}))
+        return facts.exif_bytes(wh=(self.image.shape[1], self.image.shape[0]))
 
     @property
     def measured(self) -> BoolMap:

@@ -59,7 +59,9 @@ def write_dynamic_depth(folder: Path, contents: Contents) -> WrittenDepth:
     lengths = {_PRIMARY_URI: 0} | {uri: len(data) for uri, data in parts.items()}
     items = "".join(_ITEM.format(length=length, uri=uri) for uri, length in lengths.items())
     inner = _DIRECTORY.format(items) + _PROFILES + _CAMERAS.format(_depth_map(depth))
-    photo = jpeg_with_packet(photo_jpeg(contents.image, exif=contents.exif), xmp_meta(_SPACES, {}, inner=inner))
+    photo = jpeg_with_packet(
+        photo_jpeg(contents.image, exif=contents.exif_without_place), xmp_meta(_SPACES, {}, inner=inner)
+    )
     with replacing(folder / DYNAMIC_DEPTH_NAME) as temporary:
         temporary.write_bytes(b"".join([photo, *parts.values()]))
     return WrittenDepth((folder / DYNAMIC_DEPTH_NAME,))

@@ -6,6 +6,7 @@ Z is distance along the optical axis, float; what is unknown is +infinity, farth
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from telewide.files import replacing
 from telewide.srgb import linear_from_srgb
 
 EXR_NAME = "depth.exr"
+MEANING = "Z: m along the optical axis, +inf unknown; disparity: px"
 
 
 def write_exr(folder: Path, contents: Contents) -> WrittenDepth:
@@ -31,7 +33,9 @@ def write_exr(folder: Path, contents: Contents) -> WrittenDepth:
     if result.depth_m is not None:
         channels["Z"] = np.where(np.isfinite(result.depth_m), result.depth_m, np.inf).astype(np.float32)
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    header |= {"software": "telewide", "comments": "Z: m along the optical axis, +inf unknown; disparity: px"}
+    header |= {"software": "telewide", "comments": MEANING}
+    if contents.facts is not None:
+        header |= replace(contents.facts, done=MEANING).exr_attributes()
     if result.K is not None:
         header["cameraIntrinsicsPx"] = result.K.astype(np.float32)
     if result.baseline_m is not None:

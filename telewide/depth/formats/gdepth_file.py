@@ -39,7 +39,10 @@ def write_gdepth(folder: Path, contents: Contents) -> WrittenDepth:
     with replacing(folder / GDEPTH_NAME) as temporary:
         temporary.write_bytes(
             jpeg_with_xmp(
-                photo_jpeg(contents.image, exif=contents.exif), {"GDepth": _NAMESPACE}, properties, large=large
+                photo_jpeg(contents.image, exif=contents.exif_without_place),
+                {"GDepth": _NAMESPACE},
+                properties,
+                large=large,
             )
         )
     return WrittenDepth((folder / GDEPTH_NAME,))

@@ -33,7 +33,7 @@ def write_grey(folder: Path, contents: Contents) -> WrittenDepth:
     if contents.image is not None:
         paths.insert(0, folder / PHOTO_NAME)
         with replacing(paths[0]) as temporary:
-            temporary.write_bytes(photo_jpeg(contents.image, exif=contents.exif))
+            temporary.write_bytes(photo_jpeg(contents.image, exif=contents.exif_without_place))
     return WrittenDepth(tuple(paths))
 
 

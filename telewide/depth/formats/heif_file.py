@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from telewide.capture.pictures import PictureFacts
 from telewide.depth.edges import fill_unknown
 from telewide.depth.formats.contents import Contents, WrittenDepth, levels, thinned
 from telewide.depth.formats.jpeg_xmp import xmp_meta
@@ -27,7 +28,8 @@ MAP_LONGEST_PX = 1024
 DEPTH_URN = "urn:mpeg:hevc:2015:auxid:2"  # ISO/IEC 23008-12: an auxiliary image that holds depth
 _SPACES = {"apdi": "http://ns.apple.com/pixeldatainfo/1.0/", "depthData": "http://ns.apple.com/depthData/1.0/"}
 _L008, _HDIS = 1278226488, 1751411059  # codes of four letters: grey of 8 bits, disparity of 16
-_PRIMARY, _DEPTH, _XMP = 1, 2, 3
+_PRIMARY, _DEPTH, _XMP, _EXIF = 1, 2, 3, 4
+_EXIF_HEAD = b"Exif\0\0"
 _QUALITY = 90
 
 
@@ -41,10 +43,17 @@ def write_heic(folder: Path, contents: Contents) -> WrittenDepth:
     if result.depth_m is not None and has_metres:
         nearness = np.asarray(1 / result.depth_m, dtype=np.float32)
     grey, low, high = _stretched(nearness)
-    photo = _encoded(levels(np.nan_to_num(contents.image), bits=8).astype(np.uint8), quality=_QUALITY)
-    depth = _encoded(grey, quality=100)
+    facts = contents.facts or PictureFacts(is_stripped=True)
+    picture = contents.image if contents.own_colours is None else contents.own_colours
+    photo = _encoded(
+        levels(np.nan_to_num(picture), bits=8).astype(np.uint8),
+        quality=_QUALITY,
+        profile=facts.of_photo.picture_profile,
+    )
+    depth, xmp = _encoded(grey, quality=100), _xmp(low, high, is_absolute=has_metres)
+    exif = facts.exif_bytes(wh=(picture.shape[1], picture.shape[0]))
     with replacing(folder / HEIC_NAME) as temporary:
-        temporary.write_bytes(heic_with_depth(photo, depth, xmp=_xmp(low, high, is_absolute=has_metres)))
+        temporary.write_bytes(heic_with_depth(photo, depth, xmp=xmp, exif=exif))
     return WrittenDepth((folder / HEIC_NAME,))
 
 
@@ -72,14 +81,15 @@ def _xmp(low: float, high: float, *, is_absolute: bool) -> bytes:
     return xmp_meta(_SPACES, told).encode()
 
 
-def _encoded(picture: ByteImage, *, quality: int) -> bytes:
+def _encoded(picture: ByteImage, *, quality: int, profile: bytes | None = None) -> bytes:
     import pillow_heif
 
     height, width = picture.shape[:2]
     mode = "L" if picture.ndim == 2 else "RGB"
     image = pillow_heif.from_bytes(mode=mode, size=(width, height), data=np.ascontiguousarray(picture).tobytes())
     stream = BytesIO()
-    image.save(stream, quality=quality, enc_params={"preset": "ultrafast"})
+    colours = {} if profile is None else {"icc_profile": profile}
+    image.save(stream, quality=quality, enc_params={"preset": "ultrafast"}, **colours)
     return stream.getvalue()
 
 
@@ -99,13 +109,14 @@ class _Picture:
     properties: tuple[_Property, ...]
 
 
-def heic_with_depth(photo: bytes, depth: bytes, *, xmp: bytes) -> bytes:
+def heic_with_depth(photo: bytes, depth: bytes, *, xmp: bytes, exif: bytes = b"") -> bytes:
     """Put a depth image into a photo.
 
     Args:
         photo: a HEIC of one picture.
         depth: likewise, grey.
         xmp: about the depth.
+        exif: of the photo, as in a JPEG, its six letters included; empty for none.
 
     Returns:
         A HEIC whose primary picture is the photo, bit by bit, with the depth as its auxiliary picture.
@@ -117,6 +128,8 @@ def heic_with_depth(photo: bytes, depth: bytes, *, xmp: bytes) -> bytes:
     urn = _Property(_full_box(b"auxC", DEPTH_URN.encode() + b"\0"), is_essential=True)
     pictures = [primary, _Picture(auxiliary.coded, (*auxiliary.properties, urn))]
     parts = [primary.coded, auxiliary.coded, xmp]
+    if exif:
+        parts.append(struct.pack(">I", len(_EXIF_HEAD)) + exif)  # first of all, where TIFF begins (23008-12, annex A)
     kind = _box(b"ftyp", dict(_boxes(photo))[b"ftyp"])
     head = kind + _meta(pictures, parts, start=0)
     head = kind + _meta(pictures, parts, start=len(head) + 8)  # the places of the parts depend on its own length
@@ -130,6 +143,9 @@ def _meta(pictures: Sequence[_Picture], parts: Sequence[bytes], *, start: int) -
         _box(b"auxl", struct.pack(">HHH", _DEPTH, 1, _PRIMARY)),
         _box(b"cdsc", struct.pack(">HHH", _XMP, 1, _DEPTH)),
     ]
+    if len(parts) == _EXIF:
+        infos.append(_info(_EXIF, b"Exif"))
+        references.append(_box(b"cdsc", struct.pack(">HHH", _EXIF, 1, _PRIMARY)))
     inner = [
         handler,
         _full_box(b"pitm", struct.pack(">H", _PRIMARY)),
