@@ -98,23 +98,15 @@ def benchmark_matches(
     for item in prepared.pairs:
         tell(f"{item.capture.name}: {len(item.held_out.ref_px)} matches")
         maps_px = {e.name: _disparity_px(item, e, facts=prepared.facts, window=window) for e in entrants}
-        is_away = _is_away_from_edges(list(maps_px.values()), item.held_out)
-        for name, map_px in maps_px.items():
-            of_all_px = match_errors_px(map_px, item.held_out)
-            of_sets = {ALL: of_all_px, AWAY_FROM_EDGES: of_all_px[is_away]}
-            of_sets |= {HELD_OUT: of_all_px} if item.capture.name in unseen else {}
-            for label, of_set_px in of_sets.items():
-                errors_px[label].setdefault(name, []).append(of_set_px)
-    rows = tuple(
-        _row(entrant.name, _label(label, entrant), errors_px[label][entrant.name])
-        for label in SETS
-        if errors_px[label]
-        for entrant in entrants
-    )
+        for label, of_set_px in _errors_by_set(maps_px, item.held_out, is_unseen=item.capture.name in unseen).items():
+            for name, values_px in of_set_px.items():
+                errors_px[label].setdefault(name, []).append(values_px)
     notes = [f"{problem.name}: {problem.message}" for problem in prepared.problems]
     if trained_runs:
         notes.append(_HELD_OUT_CHOSE if sets[HELD_OUT] else _NONE_UNSEEN)
-    return BenchmarkReport("matches", {"captures": sets, "window": list(window)}, rows, tuple(notes))
+    return BenchmarkReport(
+        "matches", {"captures": sets, "window": list(window)}, _rows(errors_px, entrants), tuple(notes)
+    )
 
 
 def _suitable_rig(stated: Path | None, captures: CaptureSet, entrants: Sequence[Entrant]) -> StoredRig | None:
@@ -149,6 +141,16 @@ def _disparity_px(item: PreparedPair, entrant: Entrant, *, facts: CaptureFacts, 
     return entrant.contender.match(pair.tele, pair.wide, window=window, valid=pair.valid).disparity_px
 
 
+def _errors_by_set(
+    maps_px: Mapping[str, FloatMap], held_out: HeldOut, *, is_unseen: bool
+) -> dict[str, dict[str, FloatArray]]:
+    """Errors of each map at the matches of one capture, by the set of matches."""
+    of_all_px = {name: match_errors_px(map_px, held_out) for name, map_px in maps_px.items()}
+    is_away = _is_away_from_edges(list(maps_px.values()), held_out)
+    of_sets = {ALL: of_all_px, AWAY_FROM_EDGES: {name: values_px[is_away] for name, values_px in of_all_px.items()}}
+    return {**of_sets, HELD_OUT: of_all_px} if is_unseen else {**of_sets}
+
+
 def _is_away_from_edges(maps_px: Sequence[FloatMap], held_out: HeldOut) -> NDArray[np.bool_]:
     """Whether no map steps within `AWAY_PX` of each match."""
     square = np.ones((3, 3), np.uint8)
@@ -169,6 +171,17 @@ def _uncorrected(item: PreparedPair, facts: CaptureFacts) -> RectifiedPair:
         return pair
     tele, wide = (resize_bicubic(view, wh=(width, height)) for view in (pair.tele, pair.wide))
     return RectifiedPair(pair.name, tele, wide)
+
+
+def _rows(
+    errors_px: Mapping[str, Mapping[str, list[FloatArray]]], entrants: Sequence[Entrant]
+) -> tuple[dict[str, object], ...]:
+    return tuple(
+        _row(entrant.name, _label(label, entrant), of_set_px[entrant.name])
+        for label, of_set_px in errors_px.items()
+        if of_set_px
+        for entrant in entrants
+    )
 
 
 def _row(matcher: str, captures: str, errors_px: Sequence[FloatArray]) -> dict[str, object]:

@@ -440,7 +440,7 @@ def test_depth_takes_the_newest_checkpoint_while_training_goes_on(
 
 
 def test_depth_says_that_its_weights_will_be_better(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
-    """Of a training stopped by hand, until it is finished; never of a file that no training goes on writing."""
+    """Of a training stopped by hand, until it is finished, where depth is made by them; never of a copied file."""
     run, recipe = tmp_path / "run", tiny(path=recipe_path)
 
     def stop(name: str, step: int) -> None:
@@ -458,8 +458,11 @@ def test_depth_says_that_its_weights_will_be_better(captures: Path, tmp_path: Pa
 
     unfinished = "the training of these weights is not finished (rehearsal, step 2 of 4)"
     assert told(run / "train" / "weights.safetensors") == [unfinished]
+    assert told(None) == []  # the same depth, kept
+    shutil.rmtree(run / "depth")
     assert told(None) == [f"{unfinished}; telewide train {captures} --out {run} goes on"]
     alone = Path(shutil.copy(run / "train" / "weights.safetensors", tmp_path / "weights.safetensors"))
+    shutil.rmtree(run / "depth")
     assert told(alone) == []
     run_training(captures, run, recipe)
     assert told(None) == []
