@@ -83,6 +83,9 @@ def fate(folder: Path, bug: Bug) -> str:
 def main(lists: list[str]) -> int:
     """Run the bugs of some lists, or of all; 1 where too few are caught, 2 where tests fail without a bug."""
     chosen, fates = [bug for bug in all_bugs() if not lists or bug.list in lists], []
+    if unknown := set(lists) - {bug.list for bug in chosen}:
+        sys.stderr.write(f"no list is called {', '.join(sorted(unknown))}; the files beside this one are lists\n")
+        return 2
     with tempfile.TemporaryDirectory() as name:
         folder = shutil.copytree(REPO, Path(name), ignore=shutil.ignore_patterns(*NO_SOURCES), dirs_exist_ok=True)
         if outcome(folder, tuple(sorted({test for bug in chosen for test in bug.tests}))) != "survived":
