@@ -1,6 +1,4 @@
-"""Plant bugs in a copy of the tree, one at a time, and see whether the tests that should catch them do.
-
-    python tests/mutants/run.py [LIST ...]      the bugs of all tests/mutants/*.yaml, or of some
+"""Plant bugs in a copy of the tree, one at a time: do the tests that should catch them? run.py [LIST ...]
 
 A bug names what is wrong, the file, what stands there, what instead, and the tests that fail; of a file the quick ones.
 """
@@ -75,27 +73,24 @@ def fate(folder: Path, bug: Bug) -> str:
     if text.count(bug.before) != 1:
         return "stale"
     path.write_text(text.replace(bug.before, bug.after))
-    result = outcome(folder, bug.tests)
-    path.write_text(text)
+    result, _ = outcome(folder, bug.tests), path.write_text(text)
     return result
 
 
 def main(lists: list[str]) -> int:
-    """Run the bugs of some lists, or of all; 1 where too few are caught, 2 where tests fail without a bug."""
+    """Run the bugs of some lists, or of all; 1 where too few are caught, or where tests fail without a bug."""
     chosen, fates = [bug for bug in all_bugs() if not lists or bug.list in lists], []
     if unknown := set(lists) - {bug.list for bug in chosen}:
-        sys.stderr.write(f"no list is called {', '.join(sorted(unknown))}; the files beside this one are lists\n")
-        return 2
+        sys.exit(f"no list is called {', '.join(sorted(unknown))}; the files beside this one are lists")
     with tempfile.TemporaryDirectory() as name:
         folder = shutil.copytree(REPO, Path(name), ignore=shutil.ignore_patterns(*NO_SOURCES), dirs_exist_ok=True)
         if outcome(folder, tuple(sorted({test for bug in chosen for test in bug.tests}))) != "survived":
-            sys.stderr.write("the tests fail without any bug: mend them first\n")
-            return 2
+            sys.exit("the tests fail without any bug: mend them first")
         for bug in chosen:
             begun_s = time.monotonic()
             fates.append(fate(folder, bug))
-            seconds = time.monotonic() - begun_s
-            sys.stderr.write(f"{fates[-1]:8} {seconds:5.1f} s  {bug.list}: {bug.bug}  {bug.survives}\n")
+            told = f"{fates[-1]:8} {time.monotonic() - begun_s:5.1f} s  {bug.list}: {bug.bug}"
+            sys.stderr.write(f"{told}  {bug.survives}\n")
     sys.stdout.write(f"{fates.count('caught')} of {len(fates)} bugs caught\n")
     return 0 if fates.count("caught") >= LEAST_CAUGHT * len(fates) else 1
 
