@@ -37,10 +37,11 @@ def render_bokeh(
     sharp_px: tuple[float, float] | None = None,
     aperture: Aperture = DISK,
     highlights: float = 1.0,
+    margin_px: int = 0,
 ) -> FloatImage:
     """Blur a sharp photo as a wide-open lens would, focused at one disparity.
 
-    Radii above a tenth of the shorter side are taken for that tenth.
+    Radii above a tenth of the frame's shorter side are taken for that tenth. Beyond the given the world is mirrored.
 
     Args:
         image_srgb: (H, W, 3) float32, the sharp photo; values above 1 (recovered highlights) are welcome.
@@ -51,9 +52,10 @@ def render_bokeh(
             focus alone.
         aperture: shape of the opening.
         highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
+        margin_px: how far photo and disparity reach beyond the frame on each side.
 
     Returns:
-        (H, W, 3) float32, in the range of the input; above it only where highlights are.
+        (H, W, 3) float32, the frame, in the range of the input; above it only where highlights are.
 
     Raises:
         UsageError: focus, radius or highlights are no finite numbers, or below their least.
@@ -65,17 +67,16 @@ def render_bokeh(
         )
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
-    cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
+    cap_px = (min(disparity_px.shape) - 2 * margin_px) * LARGEST_RADIUS_SHARE
     radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
     radius_px *= np.float32(radius_per_px)
     np.clip(radius_px, -cap_px, cap_px, out=radius_px)
+    frame = tuple(slice(margin_px, size - margin_px) for size in disparity_px.shape)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
-        return image_srgb.astype(np.float32, copy=True)
-    spread = spread_light(
-        with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights),
-        radius_px,
-        aperture=aperture,
-    )
+        return image_srgb[frame].astype(np.float32, copy=True)
+    light = [with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights)]
+    del image_srgb, disparity_px  # enlarged ones are held by nobody else
+    spread = spread_light(light.pop(), radius_px, aperture=aperture)[frame]
     return _by_strips(srgb_from_linear, spread, out=spread)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 
 from telewide.bokeh.focus import Focus, find_focus, named_distance_m, named_focus
@@ -28,6 +29,7 @@ from telewide.capture.pictures import PictureFacts
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.geometry.arrays import FloatMap
+from telewide.stages.beyond_frame import BeyondFrame
 from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, EXR_BOKEH_NAME, PREVIEW_BOKEH_NAME
 
 
@@ -62,7 +64,13 @@ class CaptureBokeh:
 
 
 def bokeh_of_capture(
-    photo: FloatMap, result: DepthResult, source: Capture, *, options: BokehOptions, turned_deg: int
+    photo: FloatMap,
+    result: DepthResult,
+    source: Capture,
+    *,
+    options: BokehOptions,
+    turned_deg: int,
+    beyond: BeyondFrame | None = None,
 ) -> CaptureBokeh:
     """Make the bokeh picture of one capture.
 
@@ -72,6 +80,7 @@ def bokeh_of_capture(
         source: the photos as taken.
         options: of the picture.
         turned_deg: how far photo and result were turned clockwise to stand upright.
+        beyond: finds the light from beyond the frame in the wide photo; None mirrors the world there.
 
     Raises:
         InputError: the photo cannot be read again in its own colours.
@@ -90,8 +99,11 @@ def bokeh_of_capture(
         disparity_at_m=result.disparity_at,
     )
     own = _in_own_colours(photo, source, carried, turned_deg=turned_deg)
-    render = bokeh_preview if options.is_preview else bokeh_picture
-    pixels = render(own, maps, options=options, baseline_m=baseline_m, focus=focus)
+    if options.is_preview:
+        pixels = bokeh_preview(own, maps, options=options, baseline_m=baseline_m, focus=focus)
+    else:
+        wide = None if beyond is None else partial(beyond.wide_view, source, result, is_converted=own is photo)
+        pixels = bokeh_picture(own, maps, options=options, baseline_m=baseline_m, focus=focus, wide=wide)
     numbers = _focus_numbers(focus, result)
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")

@@ -34,6 +34,7 @@ from telewide.matching.matcher import Match
 from telewide.matching.window import Window, within_width
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.stages.beyond_frame import BeyondFrame, beyond_frame
 from telewide.stages.capture_bokeh import (
     CaptureBokeh,
     bokeh_names,
@@ -161,7 +162,7 @@ def depth_of_capture(
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             if found is None:
                 found = _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
-            picture = found.bokeh(source, bokeh, turned_deg=turned_deg)
+            picture = found.bokeh(source, bokeh, turned_deg=turned_deg, beyond=beyond_frame(held_out, shot, photos))
         made = _put(found, picture, folder, formats=formats, key=key, source=source.tele_path)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -189,10 +190,12 @@ class _Depth:
     withheld: str | None = None
     lying: KeptDepth | None = None
 
-    def bokeh(self, source: Capture, options: BokehOptions | None, *, turned_deg: int) -> CaptureBokeh | None:
+    def bokeh(
+        self, source: Capture, options: BokehOptions | None, *, turned_deg: int, beyond: BeyondFrame | None
+    ) -> CaptureBokeh | None:
         if options is None:
             return None
-        return bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
+        return bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg, beyond=beyond)
 
 
 def _kept(
