@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import cv2
@@ -28,7 +27,6 @@ from telewide.bokeh.render import (
 from telewide.bokeh.surroundings import WideView, find_surroundings
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet
-from telewide.depth.edges import fill_unknown
 from telewide.depth.precision_notes import away_words
 from telewide.drawing import scaled_image
 from telewide.errors import InputError, UsageError
@@ -225,27 +223,29 @@ def bokeh_picture(
     if focus is None:
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
     radius_per_px = blur_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
-    render = partial(
-        render_bokeh,
+    around = None
+    if wide is not None:
+        margin_px = _margin_px(disparity.disparity_px, focus, radius_per_px * options.aperture.reach)
+        if margin_px > 0:
+            around = find_surroundings(photo, disparity.disparity_px, wide(), margin_px=margin_px)
+    return render_bokeh(
+        photo,
+        disparity.disparity_px,
         focus_disparity_px=focus.disparity_px,
         radius_per_px=radius_per_px,
         sharp_px=focus.sharp_px,
         aperture=options.aperture,
         highlights=options.highlights,
+        around=around,
     )
-    if wide is None:
-        return render(photo, disparity.disparity_px)
-    disparity_px = fill_unknown(disparity.disparity_px)
-    margin_px = _margin_px(disparity_px, focus, radius_per_px * options.aperture.reach)
-    around = find_surroundings(photo, disparity_px, wide(), margin_px=margin_px) if margin_px else None
-    if around is None:
-        return render(photo, disparity_px)
-    return render(around.around(photo), around.around_map(disparity_px), margin_px=margin_px)
 
 
 def _margin_px(disparity_px: FloatMap, focus: Focus, reach_per_px: float) -> int:
     """Distance from which light comes from beyond the frame, by the depth of its border; 0 where that is sharp."""
     border_px = np.concatenate([disparity_px[0], disparity_px[-1], disparity_px[:, 0], disparity_px[:, -1]])
+    border_px = border_px[np.isfinite(border_px)]
+    if not len(border_px):
+        return 0
     away_px = np.abs(away_from_focus_px(border_px, focus.disparity_px, focus.sharp_px))
     reach_px = reach_per_px * float(np.percentile(away_px, 100 - OUTLIER_PERCENT))
     if reach_px <= IN_FOCUS_PX:

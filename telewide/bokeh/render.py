@@ -17,6 +17,7 @@ from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import OUTLIER_PERCENT
 from telewide.bokeh.highlights import with_highlights
 from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
+from telewide.bokeh.surroundings import Surroundings
 from telewide.cores import usable_cores
 from telewide.depth.edges import fill_unknown
 from telewide.errors import InputError, UsageError
@@ -37,11 +38,11 @@ def render_bokeh(
     sharp_px: tuple[float, float] | None = None,
     aperture: Aperture = DISK,
     highlights: float = 1.0,
-    margin_px: int = 0,
+    around: Surroundings | None = None,
 ) -> FloatImage:
     """Blur a sharp photo as a wide-open lens would, focused at one disparity.
 
-    Radii above a tenth of the frame's shorter side are taken for that tenth. Beyond the given the world is mirrored.
+    Radii above a tenth of the shorter side are taken for that tenth.
 
     Args:
         image_srgb: (H, W, 3) float32, the sharp photo; values above 1 (recovered highlights) are welcome.
@@ -52,10 +53,10 @@ def render_bokeh(
             focus alone.
         aperture: shape of the opening.
         highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
-        margin_px: how far photo and disparity reach beyond the frame on each side.
+        around: what lies beyond the frame; beyond that, or without, the world is mirrored.
 
     Returns:
-        (H, W, 3) float32, the frame, in the range of the input; above it only where highlights are.
+        (H, W, 3) float32, in the range of the input; above it only where highlights are.
 
     Raises:
         UsageError: focus, radius or highlights are no finite numbers, or below their least.
@@ -67,15 +68,17 @@ def render_bokeh(
         )
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
-    cap_px = (min(disparity_px.shape) - 2 * margin_px) * LARGEST_RADIUS_SHARE
-    radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
+    cap_px, frame = min(disparity_px.shape) * LARGEST_RADIUS_SHARE, (slice(None), slice(None))
+    disparity_px = fill_unknown(disparity_px)
+    if around is not None:
+        image_srgb, disparity_px, frame = around.of(image_srgb), around.of_map(disparity_px), around.frame
+    radius_px = away_from_focus_px(disparity_px, focus_disparity_px, sharp_px)
     radius_px *= np.float32(radius_per_px)
     np.clip(radius_px, -cap_px, cap_px, out=radius_px)
-    frame = tuple(slice(margin_px, size - margin_px) for size in disparity_px.shape)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
         return image_srgb[frame].astype(np.float32, copy=True)
     light = [with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights)]
-    del image_srgb, disparity_px  # enlarged ones are held by nobody else
+    del image_srgb, disparity_px  # held by nobody else where they were enlarged
     spread = spread_light(light.pop(), radius_px, aperture=aperture)[frame]
     return _by_strips(srgb_from_linear, spread, out=spread)
 

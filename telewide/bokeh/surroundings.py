@@ -71,11 +71,16 @@ class Surroundings:
     boxes: tuple[Box, ...]
     strips: tuple[tuple[FloatImage, FloatMap], ...]
 
-    def around(self, photo: FloatImage) -> FloatImage:
+    @property
+    def frame(self) -> tuple[slice, slice]:
+        """Slices that cut the frame out of what is enlarged."""
+        return slice(self.margin_px, -self.margin_px), slice(self.margin_px, -self.margin_px)
+
+    def of(self, photo: FloatImage) -> FloatImage:
         """Enlarge the photo by the margin on each side."""
         return self._put_around(photo, [values for values, _ in self.strips])
 
-    def around_map(self, disparity_px: FloatMap) -> FloatMap:
+    def of_map(self, disparity_px: FloatMap) -> FloatMap:
         """Enlarge its disparity likewise."""
         return self._put_around(disparity_px, [values_px for _, values_px in self.strips])
 
@@ -84,8 +89,7 @@ class Surroundings:
         whole = np.empty((height, width, *inner.shape[2:]), np.float32)
         for box, strip in zip(self.boxes, strips, strict=True):
             whole[box.slices] = strip
-        frame = _frame(inner, self.margin_px)
-        whole[frame.slices] = inner
+        whole[self.frame] = inner
         return whole
 
 

@@ -11,9 +11,10 @@ import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
 
 from telewide.bokeh.focus import Focus
+from telewide.bokeh.layers import Box
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
 from telewide.bokeh.render import render_bokeh
-from telewide.bokeh.surroundings import WideView, find_surroundings
+from telewide.bokeh.surroundings import Surroundings, WideView, find_surroundings
 from telewide.geometry.rig import StereoRig
 from telewide.geometry.stereo import DisparityMap
 from telewide.metrics import psnr_db
@@ -69,9 +70,9 @@ def scene(*, is_vertical: bool = False, depth_m: float = 1.5) -> Scene:
 def test_band_is_what_lies_beyond_the_frame(is_vertical: bool, depth_m: float) -> None:
     seen = scene(is_vertical=is_vertical, depth_m=depth_m)
     found = find_surroundings(seen.tele, seen.disparity_px, seen.view(), margin_px=MARGIN_PX)
-    around = found.around(seen.tele)
+    around = found.of(seen.tele)
     np.testing.assert_array_equal(around[~seen.band], seen.larger[~seen.band])
-    np.testing.assert_array_equal(found.around_map(seen.disparity_px), seen.disparity_px[0, 0])
+    np.testing.assert_array_equal(found.of_map(seen.disparity_px), seen.disparity_px[0, 0])
     exact_db, mirrored_db = (psnr_db(each, seen.larger, mask=seen.band) for each in (around, seen.mirrored))
     assert exact_db > 32
     assert exact_db > mirrored_db + 12
@@ -82,8 +83,8 @@ def test_zero_of_a_pinned_map_does_not_move_the_photos() -> None:
     found = find_surroundings(seen.tele, seen.disparity_px, seen.view(), margin_px=MARGIN_PX)
     moved_px = seen.disparity_px + np.float32(5)
     pinned = find_surroundings(seen.tele, moved_px, seen.view(zero_px=5.0), margin_px=MARGIN_PX)
-    np.testing.assert_allclose(pinned.around(seen.tele), found.around(seen.tele), atol=1e-4)
-    np.testing.assert_array_equal(pinned.around_map(moved_px), found.around_map(seen.disparity_px) + np.float32(5))
+    np.testing.assert_allclose(pinned.of(seen.tele), found.of(seen.tele), atol=1e-4)
+    np.testing.assert_array_equal(pinned.of_map(moved_px), found.of_map(seen.disparity_px) + np.float32(5))
 
 
 def cut_at(seen: Scene, column: int) -> WideView:
@@ -97,7 +98,7 @@ def test_world_is_mirrored_where_wide_does_not_reach() -> None:
     ramp_px = seen.disparity_px + np.linspace(0, 0.5, seen.disparity_px.shape[1], dtype=np.float32)
     middle = seen.wide.shape[1] // 2
     found = find_surroundings(seen.tele, ramp_px, cut_at(seen, middle), margin_px=MARGIN_PX)
-    around, around_px = found.around(seen.tele), found.around_map(ramp_px)
+    around, around_px = found.of(seen.tele), found.of_map(ramp_px)
     left, right = (np.s_[:, :MARGIN_PX], np.s_[:, -MARGIN_PX:])
     np.testing.assert_array_equal(around[right], seen.mirrored[right])
     mirrored_px = cv2.copyMakeBorder(ramp_px, *[MARGIN_PX] * 4, cv2.BORDER_REFLECT)
@@ -126,12 +127,12 @@ def test_lamps_beyond_the_frame_stay_as_bright_as_white() -> None:
     lit = seen.wide.copy()
     near_left = np.s_[seen.wide.shape[0] // 2 - 4 : seen.wide.shape[0] // 2 + 4]
     shown = find_surroundings(seen.tele, seen.disparity_px, seen.view(), margin_px=MARGIN_PX)
-    before = shown.around(seen.tele)
+    before = shown.of(seen.tele)
     lit[near_left] = 1
     after = find_surroundings(seen.tele, seen.disparity_px, seen.view(photo=lit), margin_px=MARGIN_PX)
     middle = np.s_[seen.larger.shape[0] // 2 - 4 : seen.larger.shape[0] // 2 + 4, : MARGIN_PX // 2]
     assert before[middle].max() < 0.95
-    assert after.around(seen.tele)[middle].min() >= 0.98
+    assert after.of(seen.tele)[middle].min() >= 0.98
 
 
 # In the picture
@@ -170,20 +171,27 @@ def test_picture_is_as_ever_where_wide_shows_nothing_or_the_border_is_sharp() ->
     np.testing.assert_array_equal(picture(seen, never, focus=sharp), seen.tele)
 
 
+def surrounded(larger: np.ndarray, larger_px: np.ndarray, *, margin_px: int) -> Surroundings:
+    """Surroundings that are known: those of the middle of a larger photo."""
+    return Surroundings(margin_px, (Box(0, larger.shape[0], 0, larger.shape[1]),), ((larger, larger_px),))
+
+
 @pytest.mark.parametrize("margin_px", [1, 7])
-def test_margin_is_cut_off_and_does_not_count(margin_px: int) -> None:
-    seen = scene()
-    rng = np.random.default_rng(2)
-    larger_px = rng.random(seen.larger.shape[:2], np.float32) * 4
+def test_bokeh_with_its_surroundings_is_cut_from_that_of_a_larger_photo(margin_px: int) -> None:
+    larger = scene().larger
+    larger_px = np.random.default_rng(2).random(larger.shape[:2], np.float32) * 4
     lens = {"focus_disparity_px": 1.0, "radius_per_px": 2.0}
     inner = np.s_[margin_px:-margin_px, margin_px:-margin_px]
-    whole = render_bokeh(seen.larger, larger_px, **lens)
-    np.testing.assert_array_equal(render_bokeh(seen.larger, larger_px, margin_px=margin_px, **lens), whole[inner])
+    around = surrounded(larger, larger_px, margin_px=margin_px)
+    cut = render_bokeh(larger[inner], larger_px[inner], around=around, **lens)
+    np.testing.assert_array_equal(cut, render_bokeh(larger, larger_px, **lens)[inner])
 
 
 def test_strongest_blur_is_a_share_of_the_frame_alone() -> None:
-    point = np.zeros((100, 140, 3), np.float32)
+    point, near_px = np.zeros((100, 140, 3), np.float32), np.ones((100, 140), np.float32)
     point[50, 70] = 1
-    spot = render_bokeh(point, np.ones((100, 140), np.float32), focus_disparity_px=0.0, radius_per_px=50, margin_px=20)
+    inner = np.s_[20:-20, 20:-20]
+    around = surrounded(point, near_px, margin_px=20)
+    spot = render_bokeh(point[inner], near_px[inner], focus_disparity_px=0.0, radius_per_px=50, around=around)
     rows = np.flatnonzero(spot.max(axis=(1, 2)) > 1e-3)
     assert rows[-1] - rows[0] == pytest.approx(2 * 6, abs=2)  # a tenth of 60 px
