@@ -40,18 +40,9 @@ class PhotoStore:
             UsageError: there is no such file.
             InputError: it cannot be read.
         """
-        photo = self.read_once(path)
         if path in self._kept:
-            return photo
+            return self._kept[path]
+        photo = read_image(path)
         if self.kept_bytes + photo.nbytes <= self._max_bytes:
             self._kept[path] = photo
         return photo
-
-    def read_once(self, path: Path) -> FloatImage:
-        """Return a photo as `read` does, and do not keep it.
-
-        Args:
-            path: a photo.
-        """
-        kept = self._kept.get(path)
-        return read_image(path) if kept is None else kept

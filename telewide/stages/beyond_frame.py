@@ -49,7 +49,7 @@ class BeyondFrame:
             InputError: it cannot be read.
         """
         path, geometry = source.wide_path, self.shot.geometry
-        photo = self.photos.read_once(path) if is_converted else read_image(path, is_converted=False)
+        photo = self.photos.read(path) if is_converted else read_image(path, is_converted=False)
         # A known distance moved the zero of the map, not that of the photos.
         zero_px = (
             0.0 if self.shot.known is None else zero_by_matches(result.disparity.disparity_px, self.held_out, geometry)

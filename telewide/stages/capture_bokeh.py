@@ -99,11 +99,11 @@ def bokeh_of_capture(
         disparity_at_m=result.disparity_at,
     )
     own = _in_own_colours(photo, source, carried, turned_deg=turned_deg)
-    if options.is_preview:
-        pixels = bokeh_preview(own, maps, options=options, baseline_m=baseline_m, focus=focus)
-    else:
-        wide = None if beyond is None else partial(beyond.wide_view, source, result, is_converted=own is photo)
-        pixels = bokeh_picture(own, maps, options=options, baseline_m=baseline_m, focus=focus, wide=wide)
+    render = bokeh_preview if options.is_preview else bokeh_picture
+    if beyond is not None and not options.is_preview:
+        wide = partial(beyond.wide_view, source, result, is_converted=own is photo)
+        render = partial(bokeh_picture, wide=wide)
+    pixels = render(own, maps, options=options, baseline_m=baseline_m, focus=focus)
     numbers = _focus_numbers(focus, result)
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
