@@ -49,8 +49,7 @@ def render_bokeh(
         disparity_px: (H, W) float32, px, on the photo; what is not finite is filled from its nearest neighbour.
         focus_disparity_px: the disparity that stays sharp, px.
         radius_per_px: radius of the circle of confusion per px of disparity away from the focus, >= 0.
-        sharp_px: farthest and nearest disparity that stay sharp with it, from which the blur then counts; None for the
-            focus alone.
+        sharp_px: farthest and nearest disparity that stay sharp; blur counts from them. None for the focus alone.
         aperture: shape of the opening.
         highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
         around: what lies beyond the frame; beyond that, or without, the world is mirrored.
@@ -69,10 +68,9 @@ def render_bokeh(
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
     cap_px, frame = min(disparity_px.shape) * LARGEST_RADIUS_SHARE, (slice(None), slice(None))
-    disparity_px = fill_unknown(disparity_px)
     if around is not None:
         image_srgb, disparity_px, frame = around.of(image_srgb), around.of_map(disparity_px), around.frame
-    radius_px = away_from_focus_px(disparity_px, focus_disparity_px, sharp_px)
+    radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
     radius_px *= np.float32(radius_per_px)
     np.clip(radius_px, -cap_px, cap_px, out=radius_px)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:

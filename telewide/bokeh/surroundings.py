@@ -1,4 +1,4 @@
-"""What lies beyond the tele photo's frame, as the wide photo shows it: a blur takes light from there too.
+"""Surroundings of the tele photo, beyond its frame, as the wide photo shows them: a blur takes light from there too.
 
 A pixel beyond the frame is taken to be as far away as the nearest pixel within it, so the rig tells where wide shows
 it. Its colours are brought to tele's by what both photos show just within the frame: a matrix and a curve, and what
@@ -59,7 +59,7 @@ class WideView:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What lies around a frame, in four strips.
+    """Surroundings of a frame, in four strips.
 
     Attributes:
         margin_px: how far it reaches on each side.

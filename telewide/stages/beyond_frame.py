@@ -25,7 +25,7 @@ MIN_MATCHES = 12
 
 @dataclass(frozen=True)
 class BeyondFrame:
-    """What finds the wide photo of a capture that was rectified with a rig.
+    """Finder of the wide photo of a capture that was rectified with a rig.
 
     Attributes:
         held_out: matches of the pair.
