@@ -116,7 +116,7 @@ def find_surroundings(
     nearest_px = [_beyond(filled_px, box, frame, is_mirrored=False) for box in boxes]
     views = [_seen_by_wide(wide, box, values_px, frame=frame) for box, values_px in zip(boxes, nearest_px, strict=True)]
     match = _match_colours(photo, views, frame=frame, cell=cell)
-    if match is None or not any(view.shows_beyond(frame) for view in views):
+    if match is None or not any(view.is_seen_beyond(frame) for view in views):
         return None
     strips = []
     for view, values_px in zip(views, nearest_px, strict=True):
@@ -170,7 +170,7 @@ class _Strip:
     values: FloatImage
     is_seen: BoolMap
 
-    def shows_beyond(self, frame: Box) -> bool:
+    def is_seen_beyond(self, frame: Box) -> bool:
         """Whether anything is seen beyond the frame."""
         inside = self.box.within(frame).seen_from(self.box)
         return bool(self.is_seen.sum() > self.is_seen[inside.slices].sum())
@@ -244,9 +244,9 @@ class _ColourMatch:
         return np.asarray(bright, dtype=np.float32)
 
 
-def _match_colours(photo: FloatImage, views: list[_Strip], *, frame: Box, cell: int) -> _ColourMatch | None:
+def _match_colours(tele_srgb: FloatImage, views: list[_Strip], *, frame: Box, cell: int) -> _ColourMatch | None:
     """Compare what both photos show within the frame; None where that is too little, or not the same."""
-    found = [_compared(photo, view, frame=frame, cell=cell) for view in views]
+    found = [_compared(tele_srgb, view, frame=frame, cell=cell) for view in views]
     at, tele, shown = (np.concatenate(some) for some in zip(*found, strict=True))
     if len(at) < MIN_CELLS:
         return None
@@ -265,7 +265,7 @@ def _match_colours(photo: FloatImage, views: list[_Strip], *, frame: Box, cell: 
     return _ColourMatch(model, total[..., :3] / (total[..., 3:] + np.float32(PRIOR_CELLS)), frame, cell)
 
 
-def _compared(photo: FloatImage, view: _Strip, *, frame: Box, cell: int) -> tuple[IntArray, FloatArray, FloatArray]:
+def _compared(tele_srgb: FloatImage, view: _Strip, *, frame: Box, cell: int) -> tuple[IntArray, FloatArray, FloatArray]:
     """Cells (S, 2) of the frame that tele and wide show, row and column; mean light (S, 3) of either."""
     ring = view.box.within(frame).seen_from(frame)
     top, left = (-(-side // cell) * cell for side in (ring.top, ring.left))
@@ -274,7 +274,7 @@ def _compared(photo: FloatImage, view: _Strip, *, frame: Box, cell: int) -> tupl
         return np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros((0, 3))
     corner = Box(-frame.top, 0, -frame.left, 0)  # of the enlarged frame, counted from that of the frame
     there = whole.seen_from(corner).seen_from(view.box)
-    views = photo[whole.slices], view.values[there.slices]
+    views = tele_srgb[whole.slices], view.values[there.slices]
     is_known = view.is_seen[there.slices] & (np.maximum(*(values.max(axis=2) for values in views)) < CLIPPED_FROM)
     share = shrunk(is_known.astype(np.float32), cell)
     rows, columns = np.nonzero(share >= _LEAST_KNOWN)
