@@ -5,6 +5,8 @@ Letters: H W image.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,13 +15,17 @@ import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import AF_WORD, Focus, find_focus, named_distance_m, named_point
+from telewide.bokeh.lens import IN_FOCUS_PX
 from telewide.bokeh.render import (
     LARGEST_RADIUS_SHARE,
+    away_from_focus_px,
     largest_step_px,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
     render_bokeh,
 )
+from telewide.bokeh.subject import OUTLIER_PERCENT
+from telewide.bokeh.surroundings import WideView, find_surroundings
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet
 from telewide.depth.precision_notes import away_words
@@ -32,6 +38,8 @@ PictureKind = Literal["jpg", "tif", "exr"]
 DEFAULT_STRENGTH_SHARE = 0.012
 """Radius of the strongest blur, as a share of the photo's longer side, where neither strength nor f-number is given."""
 PREVIEW_SHRINKS = 4
+MOST_MARGIN_SHARE = 0.04
+"""Widest margin that the wide photo fills, of the shorter side; what lies farther out is mirrored."""
 HELD_BACK = "the strongest blur is held"
 """Words of :func:`held_back_note`."""
 
@@ -192,6 +200,7 @@ def bokeh_picture(
     options: BokehOptions,
     baseline_m: float | None,
     focus: Focus | None = None,
+    wide: Callable[[], WideView] | None = None,
 ) -> FloatMap:
     """Blur a photo by its disparity.
 
@@ -201,6 +210,7 @@ def bokeh_picture(
         options: focus and strength.
         baseline_m: distance of the lenses, m; needed for an f-number.
         focus: what is sharp; None finds what the options say.
+        wide: reads the wide photo, for the light from beyond the frame; None mirrors the world there.
 
     Returns:
         (H, W, 3) sRGB.
@@ -214,6 +224,11 @@ def bokeh_picture(
     if focus is None:
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
     radius_per_px = blur_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
+    around = None
+    if wide is not None:
+        margin_px = _margin_px(disparity.disparity_px, focus, radius_per_px * options.aperture.reach)
+        if margin_px > 0:
+            around = find_surroundings(photo, disparity.disparity_px, wide(), margin_px=margin_px)
     return render_bokeh(
         photo,
         disparity.disparity_px,
@@ -222,7 +237,21 @@ def bokeh_picture(
         sharp_px=focus.sharp_px,
         aperture=options.aperture,
         highlights=options.highlights,
+        around=around,
     )
+
+
+def _margin_px(disparity_px: FloatMap, focus: Focus, reach_per_px: float) -> int:
+    """Distance from which light comes from beyond the frame, by the depth of its border; 0 where that is sharp."""
+    border_px = np.concatenate([disparity_px[0], disparity_px[-1], disparity_px[:, 0], disparity_px[:, -1]])
+    border_px = border_px[np.isfinite(border_px)]
+    if not len(border_px):
+        return 0
+    away_px = np.abs(away_from_focus_px(border_px, focus.disparity_px, focus.sharp_px))
+    reach_px = reach_per_px * float(np.percentile(away_px, 100 - OUTLIER_PERCENT))
+    if reach_px <= IN_FOCUS_PX:
+        return 0
+    return math.ceil(min(reach_px, MOST_MARGIN_SHARE * float(min(disparity_px.shape))))
 
 
 def bokeh_preview(

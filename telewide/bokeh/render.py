@@ -17,6 +17,7 @@ from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.highlights import with_highlights
 from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
 from telewide.bokeh.subject import OUTLIER_PERCENT
+from telewide.bokeh.surroundings import Surroundings
 from telewide.cores import usable_cores
 from telewide.depth.edges import fill_unknown
 from telewide.errors import InputError, UsageError
@@ -37,6 +38,7 @@ def render_bokeh(
     sharp_px: tuple[float, float] | None = None,
     aperture: Aperture = DISK,
     highlights: float = 1.0,
+    around: Surroundings | None = None,
 ) -> FloatImage:
     """Blur a sharp photo as a wide-open lens would, focused at one disparity.
 
@@ -47,10 +49,10 @@ def render_bokeh(
         disparity_px: (H, W) float32, px, on the photo; what is not finite is filled from its nearest neighbour.
         focus_disparity_px: the disparity that stays sharp, px.
         radius_per_px: radius of the circle of confusion per px of disparity away from the focus, >= 0.
-        sharp_px: farthest and nearest disparity that stay sharp with it, from which the blur then counts; None for the
-            focus alone.
+        sharp_px: farthest and nearest disparity that stay sharp; blur counts from them. None for the focus alone.
         aperture: shape of the opening.
         highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
+        around: what lies beyond the frame; beyond that, or without, the world is mirrored.
 
     Returns:
         (H, W, 3) float32, in the range of the input; above it only where highlights are.
@@ -65,17 +67,17 @@ def render_bokeh(
         )
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
-    cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
+    cap_px, frame = min(disparity_px.shape) * LARGEST_RADIUS_SHARE, (slice(None), slice(None))
+    if around is not None:
+        image_srgb, disparity_px, frame = around.of(image_srgb), around.of_map(disparity_px), around.frame
     radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
     radius_px *= np.float32(radius_per_px)
     np.clip(radius_px, -cap_px, cap_px, out=radius_px)
     if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
-        return image_srgb.astype(np.float32, copy=True)
-    spread = spread_light(
-        with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights),
-        radius_px,
-        aperture=aperture,
-    )
+        return image_srgb[frame].astype(np.float32, copy=True)
+    light = [with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights)]
+    del image_srgb, disparity_px  # held by nobody else where they were enlarged
+    spread = spread_light(light.pop(), radius_px, aperture=aperture)[frame]
     return _by_strips(srgb_from_linear, spread, out=spread)
 
 

@@ -6,7 +6,9 @@ Letters: H W image.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 
 from telewide.bokeh.focus import Focus, find_focus, named_distance_m, named_focus
@@ -19,6 +21,7 @@ from telewide.bokeh.picture import (
     held_back_note,
     why_no_bokeh,
 )
+from telewide.bokeh.surroundings import WideView
 from telewide.capture.carried import CarriedFacts, read_carried
 from telewide.capture.colour_profiles import is_other_than_srgb
 from telewide.capture.exif import read_photo_facts
@@ -28,6 +31,7 @@ from telewide.capture.pictures import PictureFacts
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.geometry.arrays import FloatMap
+from telewide.stages.beyond_frame import BeyondFrame
 from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, EXR_BOKEH_NAME, PREVIEW_BOKEH_NAME
 
 
@@ -62,7 +66,13 @@ class CaptureBokeh:
 
 
 def bokeh_of_capture(
-    photo: FloatMap, result: DepthResult, source: Capture, *, options: BokehOptions, turned_deg: int
+    photo: FloatMap,
+    result: DepthResult,
+    source: Capture,
+    *,
+    options: BokehOptions,
+    turned_deg: int,
+    beyond: BeyondFrame | None = None,
 ) -> CaptureBokeh:
     """Make the bokeh picture of one capture.
 
@@ -72,6 +82,7 @@ def bokeh_of_capture(
         source: the photos as taken.
         options: of the picture.
         turned_deg: how far photo and result were turned clockwise to stand upright.
+        beyond: finds the light from beyond the frame in the wide photo; None mirrors the world there.
 
     Raises:
         InputError: the photo cannot be read again in its own colours.
@@ -83,15 +94,11 @@ def bokeh_of_capture(
     carried, maps, baseline_m = read_carried(source.tele_path), result.disparity, result.baseline_m
     of_photo = read_photo_facts(source.tele_path)
     subject_uv = _upright_place(of_photo.subject_uv, turned_deg=turned_deg)
-    focus = find_focus(
-        maps.disparity_px,
-        maps.confidence,
-        focus=named_focus(options.focus, subject_uv, hw=(photo.shape[0], photo.shape[1])),
-        disparity_at_m=result.disparity_at,
-    )
+    named = named_focus(options.focus, subject_uv, hw=(photo.shape[0], photo.shape[1]))
+    focus = find_focus(maps.disparity_px, maps.confidence, focus=named, disparity_at_m=result.disparity_at)
     own = in_own_colours(photo, source, carried, turned_deg=turned_deg)
-    render = bokeh_preview if options.is_preview else bokeh_picture
-    pixels = render(own, maps, options=options, baseline_m=baseline_m, focus=focus)
+    wide = None if beyond is None else partial(beyond.wide_view, source, result, is_converted=own is photo)
+    pixels = _rendered(own, result, options=options, focus=focus, wide=wide)
     numbers = _focus_numbers(focus, result)
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
@@ -106,6 +113,15 @@ def bokeh_of_capture(
     files = BokehFiles(pixels, facts, names) if names else None
     no_exr = no_exr_note(result.name) if len(names) < len(bokeh_names(options)) else None
     return CaptureBokeh(files, tuple(told for told in (note, held_back, no_exr) if told is not None), numbers)
+
+
+def _rendered(
+    own: FloatMap, result: DepthResult, *, options: BokehOptions, focus: Focus, wide: Callable[[], WideView] | None
+) -> FloatMap:
+    maps, baseline_m = result.disparity, result.baseline_m
+    if options.is_preview:
+        return bokeh_preview(own, maps, options=options, baseline_m=baseline_m, focus=focus)
+    return bokeh_picture(own, maps, options=options, baseline_m=baseline_m, focus=focus, wide=wide)
 
 
 def in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, turned_deg: int) -> FloatMap:

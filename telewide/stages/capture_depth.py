@@ -35,6 +35,7 @@ from telewide.matching.matcher import Match
 from telewide.matching.window import Window, within_width
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.stages.beyond_frame import BeyondFrame, beyond_frame
 from telewide.stages.capture_bokeh import (
     CaptureBokeh,
     bokeh_names,
@@ -163,7 +164,8 @@ def depth_of_capture(
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
-            picture = found.bokeh(source, bokeh, turned_deg=turned_deg)
+            beyond = beyond_frame(held_out, shot, photos)
+            picture = found.bokeh(source, bokeh, turned_deg=turned_deg, beyond=beyond)
         made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -191,10 +193,14 @@ class _Depth:
     withheld: str | None = None
     lying: KeptDepth | None = None
 
-    def bokeh(self, source: Capture, options: BokehOptions | None, *, turned_deg: int) -> CaptureBokeh | None:
+    def bokeh(
+        self, source: Capture, options: BokehOptions | None, *, turned_deg: int, beyond: BeyondFrame | None
+    ) -> CaptureBokeh | None:
         if options is None:
             return None
-        picture = bokeh_of_capture(self.photo, self.result, source, options=options, turned_deg=turned_deg)
+        picture = bokeh_of_capture(
+            self.photo, self.result, source, options=options, turned_deg=turned_deg, beyond=beyond
+        )
         return_freed_memory()
         return picture
 
