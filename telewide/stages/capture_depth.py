@@ -164,8 +164,7 @@ def depth_of_capture(
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
-            beyond = beyond_frame(held_out, shot, photos)
-            picture = found.bokeh(source, bokeh, turned_deg=turned_deg, beyond=beyond)
+            picture = found.bokeh(source, bokeh, turned_deg=turned_deg, beyond=beyond_frame(held_out, shot, photos))
         made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
