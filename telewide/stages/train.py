@@ -88,7 +88,7 @@ class TrainOutcome:
     def told(self) -> str:
         """One line on which weights the result is."""
         off_px = self.stages.get(self.best_stage, math.nan)
-        figure = "too few matches to judge by" if math.isnan(off_px) else f"{off_px:.3f} px off at the held-out matches"
+        figure = "too few matches to judge by" if math.isnan(off_px) else f"judged {off_px:.3f} px off"
         if self.best_step == 0:
             return f"result: the weights that {self.best_stage} began with, {figure}; no step was judged better"
         return f"result: {self.best_stage}, step {self.best_step}, {figure}"

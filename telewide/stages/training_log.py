@@ -77,7 +77,7 @@ class LoggedReporter:
         lines = [line for line in read_log(self.run.training_log) if line.stage_index == stage.index]
         judged_px = {line.step: line.judgement["clipped_px"] for line in lines if "clipped_px" in line.judgement}
         step = next((step for step, off_px in judged_px.items() if off_px == result_px), None)
-        figure = f"{result_px:.3f} px off at the held-out matches"
+        figure = f"judged {result_px:.3f} px off"
         if step == 0:
             return f"the weights it began with are kept, {figure}; no step of it was judged better"
         kept = "its weights are" if step is None else f"the weights of step {step} are"

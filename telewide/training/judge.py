@@ -1,4 +1,4 @@
-"""The judges between steps and stages: a network asked on held-out matches, and on rehearsals it has not seen."""
+"""The judges between steps and stages: a network asked on rehearsals it has not seen, and on held-out matches."""
 
 from __future__ import annotations
 
@@ -62,10 +62,11 @@ def crops_judge(batches: Batches, *, window: Window) -> Judge:
 
 
 def joined_judge(matches: Judge, rehearsals: Judge) -> Judge:
-    """Join two judges: what decides is the mean of both, or the one that has an answer; the rest is the first's.
+    """Join two judges: rehearsals decide, or matches where there are none; the rest is told of the matches.
 
-    Sparse matches lie on sharp texture and are right to a fraction of a pixel; rehearsals know plain walls, edges and
-    what is hidden.
+    Rehearsals know plain walls, edges and what is hidden, and rank networks as the truth does. Sparse matches do not:
+    they lie on sharp texture, and those at edges of depth are off themselves (docs/decisions.md, "What ranks
+    networks").
 
     Args:
         matches: asks held-out matches.
@@ -73,9 +74,8 @@ def joined_judge(matches: Judge, rehearsals: Judge) -> Judge:
     """
 
     def judge(network: StereoNetwork) -> dict[str, float]:
-        answers = [matches(network), rehearsals(network)]
-        decisive_px = [answer["clipped_px"] for answer in answers if not math.isnan(answer["clipped_px"])]
-        return {**answers[0], "clipped_px": sum(decisive_px) / len(decisive_px) if decisive_px else math.nan}
+        of_matches, decisive_px = matches(network), rehearsals(network)["clipped_px"]
+        return of_matches if math.isnan(decisive_px) else {**of_matches, "clipped_px": decisive_px}
 
     return judge
 

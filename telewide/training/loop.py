@@ -65,7 +65,7 @@ class Training:
         folder: ``train/`` of the run.
         options: of the recipe.
         source: where crops come from.
-        judge: asks the held-out matches; its ``clipped_px`` decides.
+        judge: asks rehearsals or held-out matches; its ``clipped_px`` decides.
         seed: of all samples.
         network_name: for the weights' card.
         recipe: resolved recipe, for the weights' card.
@@ -387,7 +387,7 @@ def _return_to_best(
     training: Training, state: TrainingState, plan: tuple[Stage, ...], reporter: Reporter, *, worse: Stage
 ) -> WeightsCard:
     best = plan[state.best_stage]
-    reporter.said(f"{worse.name} did not lower the error at held-out matches; {best.name} is kept and boosting ends")
+    reporter.said(f"{worse.name} was judged no better; {best.name} is kept and boosting ends")
     network, card = load_weights(training.folder / f"{best.name}.safetensors", device=training.device)
     state.average.load_state_dict(network.state_dict())
     return card

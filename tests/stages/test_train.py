@@ -263,13 +263,13 @@ def test_a_finished_training_says_so(
 @pytest.mark.parametrize(
     ("judged_px", "result_px", "told"),
     [
-        ({0: 0.4, 20: 0.45}, 0.4, "the weights it began with are kept, 0.400 px off at the held-out matches; no step"),
+        ({0: 0.4, 20: 0.45}, 0.4, "the weights it began with are kept, judged 0.400 px off; no step"),
         (
             {0: 0.4, 20: 0.35, 40: 0.37},
             0.35,
-            "the weights of step 20 are kept, 0.350 px off at the held-out matches, 0.400 px before",
+            "the weights of step 20 are kept, judged 0.350 px off, 0.400 px before",
         ),
-        ({20: 0.35}, 0.35, "the weights of step 20 are kept, 0.350 px off at the held-out matches"),
+        ({20: 0.35}, 0.35, "the weights of step 20 are kept, judged 0.350 px off"),
         ({20: NAN}, NAN, "its last weights are kept; too few matches to judge by"),
     ],
 )
@@ -291,9 +291,9 @@ def test_a_stage_says_at_its_end_what_is_kept_of_it(
         (
             0,
             0.4,
-            "result: the weights that a began with, 0.400 px off at the held-out matches; no step was judged better",
+            "result: the weights that a began with, judged 0.400 px off; no step was judged better",
         ),
-        (20, 0.35, "result: a, step 20, 0.350 px off at the held-out matches"),
+        (20, 0.35, "result: a, step 20, judged 0.350 px off"),
         (20, NAN, "result: a, step 20, too few matches to judge by"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Judges: every known pixel of a rehearsal counts, and two judges decide by their mean."""
+"""Judges: every known pixel of a rehearsal counts, and of two judges rehearsals decide."""
 
 from __future__ import annotations
 
@@ -40,9 +40,11 @@ def test_every_pixel_of_a_rehearsal_counts(error_px: float, clipped_px: float) -
 
 
 @pytest.mark.parametrize(
-    ("matches_px", "rehearsed_px", "decisive_px"), [(0.5, 0.3, 0.4), (math.nan, 0.3, 0.3), (0.5, math.nan, 0.5)]
+    ("matches_px", "rehearsed_px", "decisive_px"), [(0.5, 0.3, 0.3), (math.nan, 0.3, 0.3), (0.5, math.nan, 0.5)]
 )
-def test_two_judges_decide_by_their_mean(matches_px: float, rehearsed_px: float, decisive_px: float) -> None:
+def test_rehearsals_decide_and_matches_where_there_are_none(
+    matches_px: float, rehearsed_px: float, decisive_px: float
+) -> None:
     network = StereoNetwork(nn.Identity(), nn.Identity())
     judge = joined_judge(
         lambda _: {"clipped_px": matches_px, "off_1px": 0.1}, lambda _: {"clipped_px": rehearsed_px, "off_1px": 0.9}
