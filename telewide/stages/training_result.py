@@ -71,7 +71,7 @@ def read_result(run: RunFolder) -> TrainingResult | None:
 
 
 def before_px(run: RunFolder) -> float | None:
-    """How far off the weights were judged that a training began with; None where its log does not say."""
+    """Read how far off the weights were judged that a training began with; None where its log does not say."""
     begun = [line.judgement for line in read_log(run.training_log) if (line.stage_index, line.step) == (0, 0)]
     figures = [judgement["clipped_px"] for judgement in begun if "clipped_px" in judgement]
     return figures[-1] if figures and not math.isnan(figures[-1]) else None

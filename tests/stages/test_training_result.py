@@ -23,10 +23,10 @@ TRAINED: Mapping[str, object] = {"stage": "rehearsal", "step": 20, "clipped_px":
 
 
 def leave_training(run: RunFolder, training: Mapping[str, object], *, moved_by: float = 0.0) -> None:
-    """Write the box's weights as a training leaves them, one number moved, and a log that began at 0.4 px."""
+    """Write the box's weights as a training leaves them, some of them moved, and a log that began at 0.4 px."""
     network, card = load_weights(BOX_WEIGHTS, device=torch.device("cpu"))
     with torch.no_grad():
-        next(network.parameters()).view(-1)[0] += moved_by
+        next(network.parameters()).add_(moved_by)
     run.train.mkdir(parents=True)
     save_weights(network, run.weights, card=replace(card, training=training))
     run.training_log.write_text(LOG.format(0, 0.4) + LOG.format(20, 0.35))
