@@ -79,7 +79,7 @@ def extra_hint(extra: str) -> str:
     Args:
         extra: its name in pyproject.toml.
     """
-    return f"in your clone of telewide, in its environment: pip install -e '.[{extra}]'"
+    return f"in your clone of telewide, in its environment: pip install -c constraints.txt -e '.[{extra}]'"
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], *, listed: str | None = None) -> UsageError:

@@ -6,8 +6,10 @@ Answers go to standard output, everything else to standard error. Exit codes: se
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import logging
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -36,6 +38,8 @@ from telewide.text import printable
 from telewide.training.processes import this_process
 
 _ISSUES_HINT = "the command and the lines above"
+_UNKNOWN_CHOICE = re.compile(r"'(?P<given>[^']*)' is not one of (?P<known>.*)\.$")
+_QUOTED = re.compile("'([^']*)'")
 
 app = typer.Typer(
     name="telewide",
@@ -130,6 +134,18 @@ class _Failure:
     exit_code: int
 
 
+def _sentence_of_parser(message: str) -> str:
+    """Say what the parser found wrong, with what was probably meant."""
+    message = message.removeprefix("Value error, ")
+    if choice := _UNKNOWN_CHOICE.search(message):
+        known = _QUOTED.findall(choice["known"])
+        nearest = difflib.get_close_matches(choice["given"].casefold(), known, n=1)
+        return f"{message} Did you mean {nearest[0]}?" if nearest else message
+    if message.startswith("Got unexpected extra argument"):
+        return f"{message}; a folder holds many captures, and --only NAME, which may be repeated, takes some of them"
+    return message
+
+
 def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
     """Say on standard error what went wrong."""
     if isinstance(error, OSError) and error.filename is not None:  # of a place that no command looks at more closely
@@ -143,8 +159,8 @@ def _told(error: BaseException, interrupted: Callable[[], int]) -> _Failure:
             failure = _Failure("stopped; what was finished is kept", "run the same command to continue", interrupted())
             say(f"{failure.error}, {failure.hint}")
         elif callable(show):
+            vars(error)["message"] = _sentence_of_parser(printable(str(getattr(error, "message", error))))
             failure = _Failure(str(error), None, int(getattr(error, "exit_code", 2)))
-            vars(error)["message"] = printable(str(getattr(error, "message", error)))
             show()
         else:
             failure = _Failure(f"{type(error).__name__}: {error}", f"please report this: {_ISSUES_HINT}", 1)

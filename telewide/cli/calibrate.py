@@ -79,13 +79,13 @@ def calibrate(
         _calibrate_scenes(photos, stated, as_json=as_json, quiet=quiet)
         return
     _refuse_options_of_scenes({"--baseline-m": baseline_m, "--wide-side": wide_side, "--f35": f35})
-    from telewide.stages.calibrate import CalibrateOptions, calibrate_boards, calibrate_call, training_call
-    from telewide.stages.rig_run import BOARDS_FOLDER
+    from telewide.stages.calibrate import CalibrateOptions, calibrate_boards, calibrate_call, captures_beside
+    from telewide.stages.rig_run import BOARDS_FOLDER, calls_with_rig
 
     options, boards = CalibrateOptions(board=board, square_m=square_m, out=out, seed=seed), photos or BOARDS_FOLDER
     with console_observer(is_quiet=quiet) as observer:
         done = calibrate_boards(boards, options=options, observer=observer)
-        _say(done, observer, next_step=training_call(boards, out))
+        _say(done, observer, next_steps=calls_with_rig(captures_beside(boards), out))
     _hand_over(done, again=f"Then again: {calibrate_call(boards, options).again()}", as_json=as_json)
 
 
@@ -122,12 +122,12 @@ def _scene_options(
 
 def _calibrate_scenes(photos: Path | None, options: SceneOptions, *, as_json: bool, quiet: bool) -> None:
     from telewide.stages.calibrate_scenes import calibrate_scenes, scenes_call
-    from telewide.stages.rig_run import BOARDS_FOLDER, CAPTURES_FOLDER, stated_rig
+    from telewide.stages.rig_run import BOARDS_FOLDER, CAPTURES_FOLDER, calls_with_rig, stated_rig
 
     captures, rig = photos or CAPTURES_FOLDER, stated_rig(options.out)
     with console_observer(is_quiet=quiet) as observer:
         done = calibrate_scenes(captures, options=options, observer=observer)
-        _say(done, observer, next_step=command_line("train", captures, rig=rig))
+        _say(done, observer, next_steps=calls_with_rig(captures, options.out))
     again = (
         f"After more captures: {scenes_call(captures, options).again()}\n"
         f"  After photos of a board: {command_line('calibrate', BOARDS_FOLDER, out=rig)}"
@@ -147,7 +147,7 @@ def _parsed_f35(text: str | None) -> tuple[float, float] | None:
     return tele_mm, wide_mm
 
 
-def _say(done: CalibrationRun, observer: ConsoleObserver, *, next_step: str) -> None:
+def _say(done: CalibrationRun, observer: ConsoleObserver, *, next_steps: tuple[str, str]) -> None:
     from telewide.pages.rig_text import summary_line
 
     observer.close()
@@ -162,7 +162,9 @@ def _say(done: CalibrationRun, observer: ConsoleObserver, *, next_step: str) -> 
     observer.said(f"rig: {done.rig}")
     observer.said(f"report: {done.report}")
     if stored.quality.verdict != "insufficient":
-        observer.said(f"next: {next_step}")
+        depth, train = next_steps
+        observer.said(f"next: {depth}")
+        observer.said(f"then, to make the network better on your captures: {train}")
 
 
 def _hand_over(done: CalibrationRun, *, again: str, as_json: bool) -> None:

@@ -77,9 +77,9 @@ class ConsoleObserver:
         self.said(f"{counted(len(captures.captures), 'capture')} in {captures.root}")
         self._begin("measuring and correcting", total=len(captures.captures))
 
-    def pair_prepared(self, report: PairReport | None) -> None:
+    def pair_prepared(self, name: str) -> None:
         """Move the bar."""
-        self._advance(name="" if report is None else report.name)
+        self._advance(name=name)
 
     def set_prepared(self, prepared: PreparedSet) -> None:
         """Print the table of the captures and the problems."""

@@ -30,6 +30,7 @@ class AsymmetryEstimate:
         factor: the one to use; None where no source knows it.
         source: whose it is.
         statements: one sentence for every disagreement.
+        swapped: the sentence that says so where tele and wide look exchanged; None elsewhere.
     """
 
     rig: float | None
@@ -38,10 +39,11 @@ class AsymmetryEstimate:
     factor: float | None
     source: Literal["rig", "matches", "exif"] | None
     statements: tuple[Line, ...]
+    swapped: Line | None = None
 
 
 def compare_factors(
-    *, rig: float | None = None, matches: float | None = None, exif: float | None = None
+    *, rig: float | None = None, matches: float | None = None, exif: float | None = None, size_ratio: float = 1.0
 ) -> AsymmetryEstimate:
     """Choose the asymmetric factor and say where the sources disagree.
 
@@ -51,11 +53,17 @@ def compare_factors(
         rig: :attr:`~telewide.geometry.rig.StereoRig.asymmetry`.
         matches: scale of the matches of one pair.
         exif: what :func:`factor_from_exif` says.
+        size_ratio: size of wide's photo over that of tele's: photos of any sizes can be exchanged.
 
     Returns:
         The comparison: rig and matches more than 3 % apart are reported, EXIF only more than 15 % off the chosen one.
     """
     factor, source = _first_known(rig, matches, exif)
+    swapped = None if rig is None else _swapped(rig, matches, exif, size_ratio=size_ratio)
+    if swapped is not None:
+        return AsymmetryEstimate(
+            rig=rig, matches=matches, exif=exif, factor=factor, source=source, statements=(), swapped=swapped
+        )
     statements = []
     if rig is not None and matches is not None and abs(matches / rig - 1.0) > RIG_TOLERANCE:
         statements.append(
@@ -70,6 +78,22 @@ def compare_factors(
     return AsymmetryEstimate(
         rig=rig, matches=matches, exif=exif, factor=factor, source=source, statements=tuple(statements)
     )
+
+
+def _swapped(rig: float, matches: float | None, exif: float | None, *, size_ratio: float) -> str | None:
+    """Say that the views look swapped where all that is known of these photos is the inverse of the rig's factor.
+
+    Of photos of two sizes it is the factor per share of the photo that is inverted.
+    """
+    known = {"the matches show": matches, "EXIF states": exif}
+    stated = {source: factor for source, factor in known.items() if factor is not None}
+    of_rig = rig * size_ratio
+    if not stated or of_rig < 1 + EXIF_TOLERANCE:
+        return None
+    if any(abs(factor * size_ratio * of_rig - 1) > EXIF_TOLERANCE for factor in stated.values()):
+        return None
+    told = " and ".join(f"{source} {factor:.2f}" for source, factor in stated.items())
+    return f"the views look swapped: {told} for tele over wide, and the rig {rig:.2f}; exchange the two photos"
 
 
 def factor_from_exif(

@@ -29,10 +29,7 @@ def measured_window(ranges_px: Sequence[tuple[float, float] | None]) -> Window:
     """
     told_px = [range_px for range_px in ranges_px if range_px is not None]
     if not told_px:
-        raise InputError(
-            f"none of the {len(ranges_px)} pairs has consistent matches enough to tell a window from",
-            hint="state the window yourself, or look at the pairs' reports",
-        )
+        raise InputError("no pair has consistent matches enough to measure which disparities to search")
     low_px, high_px = min(low for low, _ in told_px), max(high for _, high in told_px)
     margin_px = max(VOLUME_STEP_PX, _MARGIN_SHARE * (high_px - low_px))
     d_min = VOLUME_STEP_PX * math.floor((low_px - margin_px) / VOLUME_STEP_PX)

@@ -131,6 +131,7 @@ def write_report(
     title: str,
     summary: str = "",
     curves: Sequence[Curve] = (),
+    result: str = "",
     next_steps: Sequence[NextStep] = (),
     facts: Mapping[str, str] | None = None,
     others: Sequence[PageLink] = (),
@@ -143,6 +144,7 @@ def write_report(
         title: heading and name of the page.
         summary: a sentence or two below it.
         curves: of the training, each drawn on its own.
+        result: a sentence on what the training led to.
         next_steps: what to do now.
         facts: where the page comes from: version, command, fingerprints.
         others: all pages of the report, where there are several.
@@ -160,6 +162,7 @@ def write_report(
         others=others,
         table=_table(rows),
         curves=[curve_svg(curve) for curve in curves],
+        result=result,
         next_steps=next_steps,
         facts=facts or {},
     )

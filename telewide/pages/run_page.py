@@ -137,6 +137,7 @@ def write_run_page(
     summary: str,
     next_steps: Sequence[NextStep],
     facts: Mapping[str, str],
+    result: str = "",
 ) -> Path | None:
     """Write ``report.html`` of a run, and ``report-2.html`` and so on where it shows more than a dozen captures.
 
@@ -148,6 +149,7 @@ def write_run_page(
         summary: a sentence or two.
         next_steps: what to do now.
         facts: where the results come from.
+        result: a sentence on what the training led to.
 
     Returns:
         Path of the first page; None where a file of somebody else's lies there.
@@ -170,6 +172,7 @@ def write_run_page(
             title="Depth and bokeh from a wide and a tele lens",
             summary=summary,
             curves=training_curves(log) if start == 0 else (),
+            result=result if start == 0 else "",
             next_steps=next_steps,
             facts={"telewide": metadata.version("telewide"), **facts},
             others=links,
@@ -204,18 +207,20 @@ def steps_after_depth(invocation: Invocation) -> tuple[NextStep, ...]:
     )
 
 
-def next_steps(root: Path, *, recipe: Recipe, invocation: Invocation) -> tuple[NextStep, ...]:
+def next_steps(root: Path, *, recipe: Recipe, invocation: Invocation, is_box: bool = False) -> tuple[NextStep, ...]:
     """Steps to take after a run, each with a command that can be pasted into a shell.
 
     Args:
         root: the run folder.
         recipe: it was trained with; a longer training is advised where the default recipe has more steps.
         invocation: the command that was typed.
+        is_box: whether the training has made nothing better than the network that comes with telewide.
     """
     steps = []
     if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
         longer = invocation.instead("run", out=f"{root}-{DEFAULT_RECIPE}", recipe=None, set=None)
-        steps.append(NextStep("Train longer, for better depth:", longer))
+        hope = "Train longer, which may help; so may more captures:" if is_box else "Train longer, for better depth:"
+        steps.append(NextStep(hope, longer))
     near = invocation.instead("depth", run=root, bokeh=True, focus="near")
     steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
     own = command_line("run", "my-captures/")
@@ -235,12 +240,16 @@ def training_curves(log: Path) -> tuple[Curve, ...]:
     losses = [
         (float(starts[line.stage] + line.step), sum(line.losses.values(), start=0.0)) for line in lines if line.losses
     ]
-    answers = [
-        (float(starts[line.stage] + line.step), 100 * line.judgement["off_1px"])
-        for line in lines
-        if "off_1px" in line.judgement
-    ]
-    named = (("loss", losses), ("held-out matches off by more than 1 px, %", answers))
+
+    def answers(name: str, *, times: float) -> list[tuple[float, float]]:
+        judged = [line for line in lines if name in line.judgement]
+        return [(float(starts[line.stage] + line.step), times * line.judgement[name]) for line in judged]
+
+    named = (
+        ("loss", losses),
+        ("judged, px off: this decides which weights are kept", answers("clipped_px", times=1)),
+        ("held-out matches off by more than 1 px, %", answers("off_1px", times=100)),
+    )
     return tuple(curve(label, points) for label, points in named if points)
 
 

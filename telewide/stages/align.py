@@ -109,7 +109,8 @@ def align_photos(
     )
     moved = find_moving(matches, refinement, rig=rig)
     of_matches = _factor_of_matches(photos, rig, refinement)
-    asymmetry = compare_factors(rig=rig.asymmetry, matches=of_matches, exif=facts.asymmetry)
+    sizes = math.hypot(*rig.wide.hw) / math.hypot(*rig.tele.hw)
+    asymmetry = compare_factors(rig=rig.asymmetry, matches=of_matches, exif=facts.asymmetry, size_ratio=sizes)
     return rectified, Alignment(refinement, moved, asymmetry, rectified.geometry)
 
 

@@ -40,6 +40,7 @@ from telewide.stages.rig_run import (
     report_facts,
     report_path,
     stated_rig,
+    steps_with_rig,
 )
 from telewide.text import Invocation, command_line, counted
 
@@ -256,10 +257,10 @@ def calibrate_call(boards: Path, options: CalibrateOptions) -> Invocation:
     return Invocation("calibrate", (boards,), {**stated, "out": stated_rig(options.out)})
 
 
-def training_call(boards: Path, rig: Path) -> str:
-    """The command that trains on captures beside a folder of board photos, with a rig."""
+def captures_beside(boards: Path) -> Path:
+    """Find the captures beside a folder of board photos; where there are none, name the folder they usually lie in."""
     beside = boards.parent / CAPTURES_FOLDER
-    return command_line("train", beside if is_folder(beside) else CAPTURES_FOLDER, rig=stated_rig(rig))
+    return beside if is_folder(beside) else CAPTURES_FOLDER
 
 
 def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOptions) -> tuple[NextStep, ...]:
@@ -271,8 +272,7 @@ def _next_steps(boards: Path, calibration: Calibration, options: CalibrateOption
         told = "Measure ten squares of your print with a ruler and give a tenth, in metres:"
         steps.append(NextStep(told, call.again(square_m="M")))
     if calibration.quality.verdict != "insufficient":
-        told = "Train on captures taken with the same lenses:"
-        steps.append(NextStep(told, training_call(boards, options.out)))
+        steps += steps_with_rig(captures_beside(boards), options.out)
     return tuple(steps)
 
 

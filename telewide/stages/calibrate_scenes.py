@@ -51,6 +51,7 @@ from telewide.stages.rig_run import (
     report_facts,
     report_path,
     stated_rig,
+    steps_with_rig,
 )
 from telewide.text import Invocation, command_line, counted
 
@@ -371,8 +372,7 @@ def _next_steps(
         text = "For metres, measure from the middle of one lens to that of the other, and give it in metres:"
         steps.append(NextStep(text, call.again(baseline_m="M")))
     if stored.quality.verdict != "insufficient":
-        train = command_line("train", folder, rig=rig)
-        steps.append(NextStep("Train on captures taken with the same lenses:", train))
+        steps += steps_with_rig(folder, options.out)
         text = "Pin a capture's depth to a point (column, row) of the tele photo and its distance in metres:"
         steps.append(NextStep(text, command_line("depth", folder / "NAME", distance="X,Y,M", rig=rig)))
     return tuple(steps)

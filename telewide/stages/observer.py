@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Protocol
 
 from telewide.capture.pair import CaptureSet, Problem
-from telewide.correction.verdict import PairReport
 from telewide.stages.capture_depth import DepthOutcome
 from telewide.stages.pairs import PreparedSet
 from telewide.text import Invocation
@@ -34,7 +33,7 @@ class Observer(Reporter, Protocol):
     def preparing(self, captures: CaptureSet) -> None:
         """The captures of a set are about to be corrected."""
 
-    def pair_prepared(self, report: PairReport | None) -> None:
+    def pair_prepared(self, name: str) -> None:
         """One capture is corrected, or left out."""
 
     def set_prepared(self, prepared: PreparedSet) -> None:
@@ -89,7 +88,7 @@ class Silent:
     def preparing(self, captures: CaptureSet) -> None:
         """Ignore it."""
 
-    def pair_prepared(self, report: PairReport | None) -> None:
+    def pair_prepared(self, name: str) -> None:
         """Ignore it."""
 
     def set_prepared(self, prepared: PreparedSet) -> None:

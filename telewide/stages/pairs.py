@@ -14,7 +14,9 @@ from telewide.errors import InputError
 from telewide.matching.window import Window, check_stated_window, joined_window, measured_window
 from telewide.points.held_out import HeldOut
 from telewide.stages.align import Alignment
+from telewide.stages.pair_record import RECORD_NAME
 from telewide.stages.rig import how_to_calibrate
+from telewide.text import command_line
 
 
 @dataclass(frozen=True)
@@ -71,10 +73,16 @@ class PreparedSet:
             ranges_px = [pair.report.disparity_range_px for pair in self.pairs]
             return self.stated_window or _believable(measured_window(ranges_px))
         except InputError as error:
-            if self.rig is not None or self.facts.rectified:
-                raise
-            hint = f"photos as they were taken need a rig, {how_to_calibrate(Path('CAPTURES'))}; or {error.hint}"
+            hint = error.hint or self._where_to_look()
+            if self.rig is None and not self.facts.rectified:
+                hint = f"photos as they were taken need a rig, {how_to_calibrate(Path('CAPTURES'))}; or {hint}"
             raise InputError(error.message, hint=hint) from error
+
+    def _where_to_look(self) -> str:
+        record = self.pairs[0].capture.tele_path.parent / RECORD_NAME
+        others = f", and so on for the other {len(self.pairs) - 1}" if len(self.pairs) > 1 else ""
+        stating = command_line("train", "CAPTURES", set="window_px=[0,64]")
+        return f"see what was measured in {record}{others}; a training may be told what to search: {stating}"
 
     def window_with(self, former: Window | None) -> Window:
         """Disparities to search by what has searched other captures before.

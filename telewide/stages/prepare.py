@@ -78,7 +78,7 @@ class CorrectedShot:
     wide_side: WideSide = "right"
 
 
-Tick = Callable[[PairReport | None], None]
+Tick = Callable[[str], None]
 
 
 def prepare(call: Call) -> PreparedSet:
@@ -135,7 +135,7 @@ def prepare_captures(
         recipe: what is corrected; the working size; the window, where it states one.
         rig: what to rectify with; None for captures that are rectified.
         photos: keeps photos for the stages after; None where there are none.
-        tick: called after each capture, with its report or None where it was left out.
+        tick: called with the name of each capture that is corrected, or left out.
 
     Returns:
         The pairs that can be used. Bad captures are among its problems.
@@ -164,7 +164,7 @@ def prepare_captures(
             cut_off = _what_is_cut_off(prepared.report, recipe.window_px)
             problems += [*cut_off, *_where_wide_stands(prepared, captures.facts)]
         if tick is not None:
-            tick(prepared.report if prepared is not None else None)
+            tick(capture.name)
     if not pairs:
         raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig)
@@ -288,7 +288,8 @@ def correct_shot(
         mirrored = pair.mirrored
         return correct_shot(mirrored, None, facts=facts, recipe=recipe, focal_lengths_mm=focal_lengths_mm)
     if alignment is not None:
-        report = with_doubts(report, alignment.notes)
+        swapped = alignment.asymmetry.swapped
+        report = with_doubts(report, alignment.notes) if swapped is None else refused(report, swapped)
     corrected = correct_pair(
         pair,
         matches=matches,
@@ -315,6 +316,11 @@ def with_doubts(report: PairReport, doubts: Sequence[str]) -> PairReport:
     """Add sentences to the reasons of a report, whatever its verdict; a good one is then usable."""
     verdict = "usable" if doubts and report.verdict == "good" else report.verdict
     return dataclasses.replace(report, verdict=verdict, reasons=(*report.reasons, *doubts))
+
+
+def refused(report: PairReport, reason: str) -> PairReport:
+    """Refuse a pair for one reason that explains all others."""
+    return dataclasses.replace(report, verdict="refused", reasons=(reason,))
 
 
 def _refuse_to_lose_the_rig(folder: Path, key: dict[str, object]) -> None:

@@ -13,6 +13,7 @@ from telewide.pages.run_page import PAGE_NAME, is_page, next_steps, report_row, 
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
 from telewide.stages.kept_depth import KEPT_NAME
+from telewide.stages.training_result import read_result
 
 
 def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> DepthRun:
@@ -26,7 +27,9 @@ def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> 
     Returns:
         The same depths, with the page's path where this process wrote it.
     """
-    steps = next_steps(call.folder.root, recipe=call.recipe, invocation=call.invocation)
+    trained = read_result(call.folder)
+    is_box = trained is not None and trained.is_box
+    steps = next_steps(call.folder.root, recipe=call.recipe, invocation=call.invocation, is_box=is_box)
     return _written(call, done, summary=call.recipe.description, steps=steps, bokeh=bokeh)
 
 
@@ -44,6 +47,7 @@ def _written(
     root = call.folder.root if done.folder == call.folder.depth else done.folder
     if _is_trial(done, bokeh) and is_page(root / PAGE_NAME):
         return done
+    trained = read_result(call.folder)
     page = write_run_page(
         root,
         _rows(call, done, root=root, bokeh=bokeh),
@@ -51,6 +55,7 @@ def _written(
         log=call.folder.training_log,
         summary=summary,
         next_steps=steps,
+        result="" if trained is None else f"Its result: {trained.told}.",
         facts={"captures": str(call.captures.root), "command": call.invocation.again()},
     )
     if page is None:

@@ -13,6 +13,8 @@ from telewide.correction.rectify import rectify_pair
 from telewide.errors import TelewideError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rig import StereoRig
+from telewide.pages.report import NextStep
+from telewide.text import command_line
 
 BOARDS_FOLDER = Path("boards")
 CAPTURES_FOLDER = Path("captures")
@@ -52,6 +54,21 @@ def report_facts(rig: Path, told: Mapping[str, str]) -> dict[str, str]:
 def stated_rig(rig: Path) -> Path | None:
     """The rig as an option has to name it: None where it is found without."""
     return None if rig == RIG_FILE else rig
+
+
+def calls_with_rig(captures: Path, rig: Path) -> tuple[str, str]:
+    """Name the commands that a new rig is for: depth and bokeh, which need no training, and training."""
+    stated = stated_rig(rig)
+    return command_line("depth", captures, rig=stated, bokeh=True), command_line("train", captures, rig=stated)
+
+
+def steps_with_rig(captures: Path, rig: Path) -> tuple[NextStep, NextStep]:
+    """Say what to do with a new rig, for its page; as :func:`calls_with_rig`."""
+    depth, train = calls_with_rig(captures, rig)
+    return (
+        NextStep("Depth and bokeh of captures taken with the same lenses:", depth),
+        NextStep("Make the network better on them:", train),
+    )
 
 
 def rectified_preview(photos: PhotoPair, *, rig: StereoRig) -> RectifiedPreview | None:

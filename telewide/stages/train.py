@@ -37,6 +37,7 @@ from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
 from telewide.stages.training_log import LoggedReporter, drop_log_after
 from telewide.stages.training_record import TrainingRecord, agreed_record, read_training, write_training
+from telewide.stages.training_result import TrainingResult, before_px
 from telewide.text import counted
 from telewide.training.checkpoint import (
     STATE_NAME,
@@ -53,7 +54,7 @@ from telewide.training.loop import train as run_training
 from telewide.training.processes import Processes
 from telewide.training.samples import CropArea, SampleSource, fitting_crop
 from telewide.training.stages import Stage, plan_stages
-from telewide.training.weights_card import read_card
+from telewide.training.weights_card import has_same_tensors, read_card
 from telewide.training.world_samples import WorldBatches, WorldSource
 
 _OWN_FILES = re.compile(
@@ -76,6 +77,8 @@ class TrainOutcome:
         stages: name and last judgement of each finished stage.
         best_stage: the stage whose weights are the result.
         best_step: of that stage; 0 for the weights it began with, None where nobody recorded it.
+        before_px: how far off the weights were judged that the training began with; None where nobody knows.
+        is_box: whether the result is the network that comes with telewide, as it was.
     """
 
     weights: Path
@@ -83,15 +86,15 @@ class TrainOutcome:
     stages: Mapping[str, float]
     best_stage: str
     best_step: int | None = None
+    before_px: float | None = None
+    is_box: bool = False
 
     @property
     def told(self) -> str:
         """One line on which weights the result is."""
         off_px = self.stages.get(self.best_stage, math.nan)
-        figure = "too few matches to judge by" if math.isnan(off_px) else f"judged {off_px:.3f} px off"
-        if self.best_step == 0:
-            return f"result: the weights that {self.best_stage} began with, {figure}; no step was judged better"
-        return f"result: {self.best_stage}, step {self.best_step}, {figure}"
+        result = TrainingResult(self.best_stage, self.best_step, off_px, before_px=self.before_px, is_box=self.is_box)
+        return f"result: {result.told}"
 
 
 def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
@@ -326,7 +329,16 @@ def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, i
     stages = {stage.name: value for stage, value in zip(plan, state.stage_judgements, strict=False)}
     step = read_card(run.weights).training.get("step")
     best_step = step if isinstance(step, int) else None
-    return TrainOutcome(run.weights, is_new, stages, plan[state.best_stage].name, best_step=best_step)
+    is_judged_alike = not math.isnan(stages.get(plan[0].name, math.nan))  # else other photos judged in the beginning
+    return TrainOutcome(
+        run.weights,
+        is_new,
+        stages,
+        plan[state.best_stage].name,
+        best_step=best_step,
+        before_px=before_px(run) if is_judged_alike else None,
+        is_box=best_step == 0 and has_same_tensors(run.weights, BOX_WEIGHTS),
+    )
 
 
 def forget(run: RunFolder) -> None:

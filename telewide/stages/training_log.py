@@ -33,6 +33,7 @@ class LoggedReporter:
     is_writer: bool
     _sums: dict[str, float] = field(default_factory=dict)
     _n_summed: int = 0
+    _former_px: float = math.nan
 
     def stage_started(self, stage: Stage, *, first_step: int) -> None:
         """Begin a mean of the losses."""
@@ -63,6 +64,8 @@ class LoggedReporter:
             write_sheet(self.run.train / f"{stage.name}.png", sheet)
         self.inner.stage_finished(stage, network=network, judgement=judgement)
         self.inner.said(f"{stage.name} is done: {self._what_is_kept(stage, judgement['clipped_px'])}")
+        if not stage.is_teaching_space:
+            self._former_px = judgement["clipped_px"]
 
     def said(self, message: str) -> None:
         """Pass a line on."""
@@ -81,7 +84,8 @@ class LoggedReporter:
         if step == 0:
             return f"the weights it began with are kept, {figure}; no step of it was judged better"
         kept = "its weights are" if step is None else f"the weights of step {step} are"
-        before = f", {judged_px[0]:.3f} px before" if 0 in judged_px else ""
+        before_px = judged_px.get(0, self._former_px)
+        before = "" if math.isnan(before_px) else f", {before_px:.3f} px before"
         return f"{kept} kept, {figure}{before}"
 
     def _forget_sums(self) -> None:

@@ -75,7 +75,7 @@ def joined_judge(matches: Judge, rehearsals: Judge) -> Judge:
 
     def judge(network: StereoNetwork) -> dict[str, float]:
         of_matches, decisive_px = matches(network), rehearsals(network)["clipped_px"]
-        return of_matches if math.isnan(decisive_px) else {**of_matches, "clipped_px": decisive_px}
+        return dict(of_matches) if math.isnan(decisive_px) else {**of_matches, "clipped_px": decisive_px}
 
     return judge
 

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import JsonValue
 from safetensors import SafetensorError, safe_open
 
 from telewide.errors import InputError
-from telewide.files import open_regular
+from telewide.files import open_regular, read_regular
 from telewide.matching.window import Window, check_stated_window
 from telewide.records import checked, parse_json
 
@@ -64,6 +65,33 @@ def read_card(path: Path) -> WeightsCard:
         return card
     except (OSError, SafetensorError, KeyError, ValueError, RuntimeError) as error:
         raise no_weights(path) from error
+
+
+def has_same_tensors(path: Path, other: Path) -> bool:
+    """Whether two weights files hold the same tensors, bit by bit, whatever they say of themselves.
+
+    Raises:
+        UsageError: there is no such file.
+        InputError: a file is corrupt, or holds something else.
+    """
+    places, other_places = _places(path), _places(other)
+    if places[0] != other_places[0]:
+        return False
+    return read_regular(path)[places[1] :] == read_regular(other)[other_places[1] :]
+
+
+def _places(path: Path) -> tuple[dict[str, object], int]:
+    """Kind, shape and place of each tensor in a weights file, and where the tensors begin."""
+    with open_regular(path) as stream:
+        header_bytes = int.from_bytes(stream.read(LENGTH_BYTES), "little")
+        if header_bytes > _MOST_HEADER_BYTES:
+            raise no_weights(path)
+        text = stream.read(header_bytes)
+    try:
+        header = checked(parse_json(text.decode()), dict[str, JsonValue])
+    except ValueError as error:
+        raise no_weights(path) from error
+    return {name: place for name, place in header.items() if name != "__metadata__"}, LENGTH_BYTES + header_bytes
 
 
 def no_weights(path: Path) -> InputError:

@@ -81,4 +81,4 @@ def test_without_the_extra_its_name_is_told(tmp_path: Path, monkeypatch: pytest.
             read(tmp_path / "a.jpg")
         assert caught.value.exit_code == 5
         assert caught.value.hint is not None
-        assert "pip install -e '.[heif]'" in caught.value.hint
+        assert "pip install -c constraints.txt -e '.[heif]'" in caught.value.hint

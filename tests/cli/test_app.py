@@ -135,6 +135,25 @@ def test_unknown_recipe_names_the_nearest(captures: Path, capsys: pytest.Capture
     refused(capsys, "train", "--recipe", "quik", code=2, names=("quik", "did you mean quick?"))
 
 
+def test_unknown_choice_names_the_nearest(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["depth", "--method", "smg", "--json"])
+    assert left.value.code == 2
+    told = capsys.readouterr()
+    for text in (" ".join(told.err.split()), json.loads(told.out)["error"]):
+        assert "'smg' is not one of 'network', 'sgm'. Did you mean sgm?" in text
+        assert "Value error" not in text
+
+
+def test_a_second_folder_of_captures_names_the_option_that_chooses(
+    captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["depth", "captures/000", "captures/001"])
+    assert left.value.code == 2
+    assert "--only NAME" in " ".join(capsys.readouterr().err.split())
+
+
 def test_unknown_setting_names_the_nearest_key(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("train", "--set", "train.rehearsal.step=3")
     refused(capsys, *words, code=2, names=("train.rehearsal.step", "did you mean train.rehearsal.steps?"))

@@ -28,6 +28,26 @@ def test_exif_is_doubted_beyond_fifteen_percent_only(exif: float, is_said: bool)
     assert len(compare_factors(rig=3.0, exif=exif).statements) == is_said
 
 
+@pytest.mark.parametrize(("tele_px", "wide_px"), [(4000, 4000), (4000, 2000), (2000, 4000)])
+def test_exchanged_photos_have_the_inverse_factor_whatever_their_sizes(tele_px: int, wide_px: int) -> None:
+    """A lens's focal length counts in sizes of its photo: given in each other's place, the lenses trade those."""
+    tele_sizes, wide_sizes = 2.4, 0.8
+    rig = tele_sizes * tele_px / (wide_sizes * wide_px)
+    matches = wide_sizes * tele_px / (tele_sizes * wide_px)
+    size_ratio = wide_px / tele_px
+    for known in ({"matches": matches}, {"exif": matches}, {"matches": matches, "exif": 1.1 * matches}):
+        found = compare_factors(rig=rig, size_ratio=size_ratio, **known)
+        assert "swapped" in str(found.swapped)
+        assert found.statements == (), "nothing else explains them"
+    assert compare_factors(rig=rig, matches=rig, size_ratio=size_ratio).swapped is None
+    assert compare_factors(rig=rig, size_ratio=size_ratio).swapped is None
+    assert compare_factors(rig=rig, matches=matches, exif=rig, size_ratio=size_ratio).swapped is None, "they contradict"
+
+
+def test_lenses_that_hardly_differ_are_never_called_swapped() -> None:
+    assert compare_factors(rig=1.05, matches=1 / 1.05).swapped is None
+
+
 def test_exif_counts_the_sizes_of_the_photos() -> None:
     same = factor_from_exif(tele_f35_mm=80, wide_f35_mm=27, tele_hw=(3000, 4000), wide_hw=(4000, 3000))
     assert same == pytest.approx(80 / 27)

@@ -51,5 +51,5 @@ def test_the_window_is_wide_enough_and_of_any_sign(centre_px: float) -> None:
 
 
 def test_without_any_measured_pair_no_window_is_guessed() -> None:
-    with pytest.raises(InputError, match="none of the 3 pairs"):
+    with pytest.raises(InputError, match="no pair has consistent matches enough"):
         measured_window([None, None, None])

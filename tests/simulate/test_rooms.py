@@ -195,7 +195,7 @@ def test_without_the_ray_tracer_the_extra_is_named(tmp_path: Path, monkeypatch: 
     with pytest.raises(MissingPartError) as caught:
         app(["simulate", str(tmp_path / "out"), "--world", "rooms", "--width", "96"], standalone_mode=False)
     assert caught.value.exit_code == 5
-    assert "pip install -e '.[simulate]'" in (caught.value.hint or "")
+    assert "pip install -c constraints.txt -e '.[simulate]'" in (caught.value.hint or "")
     assert not (tmp_path / "out").exists()
 
 

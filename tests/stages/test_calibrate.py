@@ -17,8 +17,8 @@ from telewide.calibration.rig_file import RIG_FILE, read_rig
 from telewide.capture.images import read_image, write_image
 from telewide.cli import main
 from telewide.errors import InputError, UsageError
-from telewide.stages.calibrate import CalibrateOptions, calibrate_boards, calibrate_call, training_call
-from telewide.stages.rig_run import CalibrationRun
+from telewide.stages.calibrate import CalibrateOptions, calibrate_boards, calibrate_call, captures_beside
+from telewide.stages.rig_run import CalibrationRun, calls_with_rig
 
 N_SHOTS = 12
 BOARD = "chessboard_9x6"
@@ -200,12 +200,16 @@ def test_commands_advised_name_the_rig_and_all_that_was_stated(done: Calibration
     again = calibrate_call(Path("my boards"), options).again()
     stated = "--board 'my board.yaml' --square-m 0.024 --seed 3 --out 'phone B.yaml'"
     assert again == f"telewide calibrate 'my boards' {stated}"
-    assert training_call(Path("my boards"), options.out) == "telewide train captures --rig 'phone B.yaml'"
+    depth, train = calls_with_rig(captures_beside(Path("my boards")), options.out)
+    assert depth == "telewide depth captures --rig 'phone B.yaml' --bokeh"
+    assert train == "telewide train captures --rig 'phone B.yaml'"
     assert calibrate_call(Path("boards"), CalibrateOptions()).again() == "telewide calibrate boards"
     (tmp_path / "captures").mkdir()
-    assert training_call(tmp_path / "boards", RIG_FILE) == f"telewide train {tmp_path / 'captures'}"
+    of_boards = calls_with_rig(captures_beside(tmp_path / "boards"), RIG_FILE)
+    assert of_boards[1] == f"telewide train {tmp_path / 'captures'}"
     page = done.report.read_text(encoding="utf-8")
-    assert f"telewide train captures --rig {done.rig}" in page
+    depth, train = calls_with_rig(Path("captures"), done.rig)
+    assert 0 < page.index(depth) < page.index(train), "depth needs no training"
 
 
 # The command line

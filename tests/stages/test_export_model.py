@@ -161,21 +161,21 @@ def test_a_model_of_any_size_computes_what_torch_does(name: str, window: Window,
 def test_the_documented_example_runs(repo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = weights_of("lite", tmp_path)
-    assert code_of("export-model", str(path), "--size", "384x256", "--out", "depth.onnx", "-q") == 0
+    assert code_of("export-model", str(path), "--size", "320x192", "--out", "depth.onnx", "-q") == 0
     for photo in ("tele.jpg", "wide.jpg"):
         shutil.copy(repo / "examples" / "captures" / "000" / photo, tmp_path)
     [example] = re.findall(r"```python\n(.*?)```", (repo / "docs" / "onnx.md").read_text(), re.DOTALL)
-    assert len(example.splitlines()) <= 16
+    assert len(example.splitlines()) <= 18
     (tmp_path / "example.py").write_text(example)
     held = runpy.run_path("example.py")
-    assert held["disparity_px"].shape == held["tele"].size[::-1]
+    assert held["disparity_px"].shape == (192, 320) != held["tele"].size[::-1]
     facts = held["session"].get_modelmeta().custom_metadata_map
     assert {name: facts[name] for name in ("network", "window_px", "size_px", "size_multiple")} == {
         "network": "lite",
         "window_px": "-8,24",
-        "size_px": "384x256",
+        "size_px": "320x192",
         "size_multiple": "1",
     }
     # Another network than the one it was made from: the comparison sees it.
     other = OnnxNetwork(build_network("lite", seed=1).eval(), WINDOW)
-    assert compare_onnx(Path("depth.onnx"), other, hw=(256, 384)).differing > 0.5
+    assert compare_onnx(Path("depth.onnx"), other, hw=(192, 320)).differing > 0.5

@@ -87,6 +87,44 @@ def test_a_rig_that_is_not_good_enough_is_said_quietly_too(
     assert any("marked insufficient" in warning for warning in json.loads(told.out)["warnings"])
 
 
+def test_exchanged_photos_are_refused_with_a_rig_too(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, captures = phone_rig(width_px=640), tmp_path / "captures"
+    for view, photo in zip(("wide", "tele"), photos_of_a_plane(rig, rng), strict=True):
+        write_image(captures / "one" / f"{view}.png", photo)
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    write_stored_rig(captures / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+    with pytest.raises(SystemExit) as left:
+        main(("depth", str(captures), "--run", str(tmp_path / "run"), "--method", "sgm"))
+    assert left.value.code == 4
+    told = capsys.readouterr().err
+    assert "one: the views look swapped" in told
+    assert "digital zoom" not in told
+
+
+def test_a_set_without_matches_says_where_its_reports_lie(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for view in ("tele", "wide"):
+        noise = rng.random((96, 128, 3)).astype(np.float32)
+        write_image(tmp_path / "captures" / "one" / f"{view}.png", noise)
+    with pytest.raises(SystemExit) as left:
+        main(("depth", str(tmp_path / "captures"), "--run", str(tmp_path / "run"), "--method", "sgm"))
+    assert left.value.code == 3
+    told = capsys.readouterr().err
+    assert str(tmp_path / "run" / "pairs" / "one" / "pair.json") in told
+    assert (tmp_path / "run" / "pairs" / "one" / "pair.json").is_file()
+
+
+def test_photos_that_fail_are_counted_by_their_names(captures: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(captures, tmp_path / "captures"))
+    (root / "001" / "wide.png").write_bytes(b"no picture")
+    done: list[str] = []
+    prepare_captures(find_captures(root), RunFolder(tmp_path / "run"), recipe=load_recipe("quick"), tick=done.append)
+    assert done == ["000", "001"]
+
+
 def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
     tmp_path: Path, rng: np.random.Generator, repo: Path
 ) -> None:

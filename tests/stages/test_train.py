@@ -72,7 +72,7 @@ class Observer(Heard):
     def warned(self, message: str) -> None: ...
 
     def preparing(self, captures: object) -> None: ...
-    def pair_prepared(self, report: object) -> None: ...
+    def pair_prepared(self, name: str) -> None: ...
     def set_prepared(self, prepared: object) -> None: ...
     def searching(self, window: object) -> None: ...
     def labelling(self, total: int) -> object:
@@ -276,13 +276,17 @@ def test_a_finished_training_says_so(
 def test_a_stage_says_at_its_end_what_is_kept_of_it(
     judged_px: dict[int, float], result_px: float, told: str, tmp_path: Path
 ) -> None:
-    heard, stage = Observer(), plan_stages(load_recipe("quick").train)[0]
+    heard, stages = Observer(), plan_stages(load_recipe("quick").train)
+    stage = stages[0]
     reporter = LoggedReporter(heard, RunFolder(tmp_path), rows=lambda network: [], is_writer=True)
     for step, off_px in judged_px.items():
         reporter.judged(stage, step=step, judgement={"clipped_px": off_px})
     reporter.is_writer = False  # which draws no sheet
     reporter.stage_finished(stage, network=build_network("lite"), judgement={"clipped_px": result_px})
     assert heard.messages[-1].startswith(f"{stage.name} is done: {told}")
+    reporter.stage_finished(stages[1], network=build_network("lite"), judgement={"clipped_px": 0.2})
+    before = "" if math.isnan(result_px) else f", {result_px:.3f} px before"
+    assert heard.messages[-1].endswith(f"judged 0.200 px off{before}"), "it began with what the first one led to"
 
 
 @pytest.mark.parametrize(
