@@ -49,6 +49,7 @@ from telewide.stages.kept_depth import (
     BOKEH_NAMES,
     DEPTH_NAMES,
     KEPT_NAME,
+    OF_SET,
     PREVIEW_BOKEH_NAME,
     DepthPart,
     KeptDepth,
@@ -315,6 +316,8 @@ def _put(
         notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes))
         numbers = {**depth.numbers, **({} if bokeh is None else bokeh.numbers)}
         made = KeptDepth(tuple(names), notes, numbers, withheld=depth.withheld, depth=part)
+        if depth.lying is not None:  # the depth stays that of the set it was matched with
+            key = {**key, OF_SET: depth.lying.of_set}
         write_kept(new, made, key=key, source=asked.source.tele_path)
         put_in_place(new, folder)
     return made
