@@ -65,6 +65,7 @@ class KeptDepth:
         depth: what of these is of the depth alone.
         is_whole: whether all the files are there as they were written.
         of_set: the captures that were matched together with this one, and what they gave, as the key holds it.
+        unstripped: names of the bokeh files that say of the photo what its EXIF says.
     """
 
     files: tuple[str, ...]
@@ -74,6 +75,7 @@ class KeptDepth:
     depth: DepthPart = field(default_factory=DepthPart)
     is_whole: bool = True
     of_set: JsonValue = None
+    unstripped: tuple[str, ...] = ()
 
 
 class KeptRecord(Record):
@@ -89,6 +91,7 @@ class KeptRecord(Record):
         numbers: what was measured.
         withheld: what is not among the files, and why.
         depth: what of these is of the depth alone.
+        unstripped: names of the bokeh files that say of the photo what its EXIF says.
     """
 
     format: int = 0
@@ -100,6 +103,7 @@ class KeptRecord(Record):
     numbers: dict[str, Figure] = Field(default_factory=dict)
     withheld: Line | None = None
     depth: DepthPart = Field(default_factory=DepthPart)
+    unstripped: tuple[str, ...] = ()
 
 
 class SetFacts(Record):
@@ -199,7 +203,20 @@ def _as_kept(record: KeptRecord) -> KeptDepth:
         withheld=record.withheld,
         depth=record.depth,
         of_set=record.key.get(OF_SET),
+        unstripped=record.unstripped,
     )
+
+
+def unstripped_of(folder: Path) -> frozenset[str]:
+    """Names of the bokeh files in a folder that were made without ``--strip``; empty where nothing tells.
+
+    Args:
+        folder: of one capture.
+    """
+    try:
+        return frozenset(read_record(folder / KEPT_NAME, KeptRecord).unstripped)
+    except TelewideError:
+        return frozenset()
 
 
 def matcher_of(folder: Path) -> str | None:
@@ -339,5 +356,6 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], sour
         numbers=kept.numbers,
         withheld=kept.withheld,
         depth=kept.depth,
+        unstripped=kept.unstripped,
     )
     write_record(folder / KEPT_NAME, record)

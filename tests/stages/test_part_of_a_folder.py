@@ -126,3 +126,15 @@ def test_facts_of_a_set_count_where_all_of_it_is_there(
     assert (read_kept(tmp_path, {"tele": "x", OF_SET: asked}) is not None) == is_kept
     assert read_kept(tmp_path, {"tele": "y", OF_SET: asked}) is None
     assert read_kept(tmp_path, {"tele": "x"}) is None
+
+
+def test_a_bokeh_that_was_not_stripped_is_named_beside_stripped_files(folder: Path, said: Said) -> None:
+    still_there = "002: made without --strip and still there, with facts of the photo: bokeh.jpg; --bokeh --strip"
+    one = ("captures", "--only", "002")
+    assert still_there in said(*one, "--format", "grey", "--strip")
+    assert still_there in said(*one, "--format", "grey", "--strip"), "as long as it lies there"
+    assert still_there in said(*one, "--bokeh", "--preview", "--strip")
+    assert "still there" not in said(*one, "--format", "grey"), "nothing was to be stripped"
+    assert "still there" not in said(*one, "--bokeh", "--strip")
+    assert "still there" not in said(*one, "--format", "grey", "--strip"), "it is stripped as well"
+    assert (folder / "run" / "depth" / "002" / "bokeh.jpg").is_file()
