@@ -207,6 +207,20 @@ def _as_kept(record: KeptRecord) -> KeptDepth:
     )
 
 
+def read_lying(folder: Path) -> KeptRecord | None:
+    """Read the record of the depth in a folder, whatever it was made from; None where it is not whole.
+
+    Args:
+        folder: of one capture.
+    """
+    try:
+        record = read_record(folder / KEPT_NAME, KeptRecord)
+    except TelewideError:
+        return None
+    is_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())
+    return record if record.format == FORMAT and is_whole and NPZ_NAME in record.files_bytes else None
+
+
 def unstripped_of(folder: Path) -> frozenset[str]:
     """Names of the bokeh files in a folder that were made without ``--strip``; empty where nothing tells.
 
