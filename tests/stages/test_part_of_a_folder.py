@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
 
+from telewide.bokeh.picture import BokehOptions
 from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
 from telewide.calibration.scene_quality import ZERO_CHECK
 from telewide.capture.images import write_image
 from telewide.cli import main
 from telewide.stages.kept_depth import OF_SET, KeptDepth, of_set, read_kept, write_kept
+from telewide.stages.lying_depth import lying_depths, names_lying
 
 Said = Callable[..., str]
 QUALITY = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
@@ -138,3 +140,16 @@ def test_a_bokeh_that_was_not_stripped_is_named_beside_stripped_files(folder: Pa
     assert "still there" not in said(*one, "--bokeh", "--strip")
     assert "still there" not in said(*one, "--format", "grey", "--strip"), "it is stripped as well"
     assert (folder / "run" / "depth" / "002" / "bokeh.jpg").is_file()
+
+
+def test_depth_of_former_calls_is_shown_as_it_was_asked_for(folder: Path, said: Said) -> None:
+    """The photos have been moved, with all of their folder, since the depth was made."""
+    run = folder / "run"
+    said("captures", "--only", "001", "--bokeh", "--preview")
+    (run / "depth" / "002" / "preview.png").unlink()
+    found = lying_depths(
+        run / "depth", names_lying(run / "depth"), pairs=run / "pairs", captures_root=folder / "captures"
+    )
+    assert [(one.capture.name, one.bokeh) for one in found] == [("000", BokehOptions()), ("001", None)]
+    assert found[0].capture.tele_path == folder / "captures" / "000" / "tele.png"
+    assert {"match_s", "focus_px"} <= found[0].numbers.keys()
