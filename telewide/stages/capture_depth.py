@@ -49,6 +49,7 @@ from telewide.stages.kept_depth import (
     BOKEH_NAMES,
     DEPTH_NAMES,
     KEPT_NAME,
+    OF_SET,
     PREVIEW_BOKEH_NAME,
     DepthPart,
     KeptDepth,
@@ -58,6 +59,7 @@ from telewide.stages.kept_depth import (
     read_kept_depth,
     refuse_foreign_files,
     refuse_results_of_another,
+    unstripped_of,
     write_kept,
 )
 from telewide.stages.photo_depth import ShotGeometry, depth_on_photo
@@ -311,10 +313,14 @@ def _put(
             numbers=dict(depth.numbers),
         )
         names = [path.name for path in written.paths]
-        names += _write_bokeh(new, bokeh, former=folder, taken=_bokeh_of(folder, new / NPZ_NAME))
-        notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes))
+        bokeh_files = _write_bokeh(new, bokeh, former=folder, taken=_bokeh_of(folder, new / NPZ_NAME))
+        names += bokeh_files
+        unstripped, left = _unstripped(bokeh_files, bokeh, folder, asked=asked)
+        notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes), *left)
         numbers = {**depth.numbers, **({} if bokeh is None else bokeh.numbers)}
-        made = KeptDepth(tuple(names), notes, numbers, withheld=depth.withheld, depth=part)
+        made = KeptDepth(tuple(names), notes, numbers, withheld=depth.withheld, depth=part, unstripped=unstripped)
+        if depth.lying is not None:  # the depth stays that of the set it was matched with
+            key = {**key, OF_SET: depth.lying.of_set}
         write_kept(new, made, key=key, source=asked.source.tele_path)
         put_in_place(new, folder)
     return made
@@ -349,6 +355,21 @@ def _write_bokeh(folder: Path, bokeh: CaptureBokeh | None, *, former: Path, take
         for name in files.names:
             write_picture(folder / name, files.pixels, facts=files.facts)
     return [*new, *taken]
+
+
+def _unstripped(
+    names: list[str], bokeh: CaptureBokeh | None, former: Path, *, asked: _Asked
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Tell which bokeh files say something of the photo, and what to say of those that stayed beside stripped files."""
+    files = None if bokeh is None else bokeh.files
+    new = frozenset(() if files is None else files.names)
+    left = [name for name in names if name not in new and name in unstripped_of(former)]
+    is_new_stripped = files is not None and files.facts.is_stripped
+    unstripped = tuple(name for name in names if name in left or (name in new and not is_new_stripped))
+    if not left or not (asked.is_stripped or is_new_stripped):
+        return unstripped, ()
+    told = f"{asked.source.name}: made without --strip and still there, with facts of the photo: {', '.join(left)}"
+    return unstripped, (f"{told}; --bokeh --strip replaces what was made",)
 
 
 def _take_over(path: Path, to: Path) -> None:

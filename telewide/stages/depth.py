@@ -26,6 +26,7 @@ from telewide.recipe import DEFAULT_RECIPE, OF_THE_PAIRS, Recipe, load_recipe
 from telewide.stages.align import shot_precision
 from telewide.stages.call import Call, alone, record
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
+from telewide.stages.kept_depth import OF_SET, of_set
 from telewide.stages.observer import Observer
 from telewide.stages.pair_record import RECORD_NAME
 from telewide.stages.pairs import PreparedPair, PreparedSet
@@ -274,7 +275,10 @@ def _depth_of(
         match=matcher.match,
         window=window,
         bokeh=options.bokeh,
-        key=_depth_key(item, matcher, window=window, options=options, shot=shot),
+        key={
+            **_depth_key(item, prepared, matcher, options=options, shot=shot),
+            OF_SET: _of_set(prepared, window=window, shot=shot),
+        },
         shot=shot,
         photos=call.photos,
         formats=options.formats,
@@ -311,24 +315,38 @@ def shot_geometry(
 
 def _depth_key(
     item: PreparedPair,
+    prepared: PreparedSet,
     matcher: Matcher,
     *,
-    window: Window,
     options: DepthOptions,
     shot: ShotGeometry | None,
 ) -> dict[str, object]:
-    """Key of all that the files of one capture depend on; the pair's record names photos, facts and correction."""
+    """Key of all that the files of one capture alone depend on; the pair's record names photos, facts, correction."""
     return {
         "version": metadata.version("telewide"),
         "pair_sha256": fingerprint(item.capture.tele_path.with_name(RECORD_NAME)),
         "matcher": matcher.name,
-        "window": window,
+        "window_px": prepared.stated_window,
         "bokeh": None if options.bokeh is None else asdict(options.bokeh),
         "formats": options.formats,
         "is_stripped": options.is_stripped,
-        "precision": None if shot is None else asdict(shot.precision),
+        "precision": _own_precision(item, prepared, shot),
         "known": None if shot is None or shot.known is None else asdict(shot.known),
     }
+
+
+def _own_precision(item: PreparedPair, prepared: PreparedSet, shot: ShotGeometry | None) -> dict[str, object] | None:
+    """Precision of a shot but for what other shots show of it: how far the lens moves."""
+    if shot is None or item.alignment is None or prepared.rig is None:
+        return None
+    alone_px = shot_precision(item.alignment, of_set=(), rig=prepared.rig).lens_shift_std_px
+    return asdict(replace(shot.precision, lens_shift_std_px=alone_px))
+
+
+def _of_set(prepared: PreparedSet, *, window: Window, shot: ShotGeometry | None) -> dict[str, object]:
+    """Facts for the depth of one capture that come from all of them."""
+    shift_px = None if shot is None else shot.precision.lens_shift_std_px
+    return of_set([pair.capture.name for pair in prepared.pairs], {"window": window, "lens_shift_std_px": shift_px})
 
 
 def _tell(observer: Observer, result: DepthOutcome | DepthFailure) -> None:

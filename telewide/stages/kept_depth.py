@@ -29,6 +29,8 @@ FILE_NAMES = (*DEPTH_NAMES, *BOKEH_NAMES, PREVIEW_BOKEH_NAME)
 """Of all files of one capture; some are left out where they cannot be made."""
 MADE_OF_DEPTH = ("bokeh", "formats", "is_stripped")
 """Keys of what is made of a depth that is known; the depth itself does not depend on them."""
+OF_SET = "of_set"
+"""Key of what was measured on all captures of a call: their names, and what they gave; see :func:`of_set`."""
 
 
 class DepthPart(Record):
@@ -62,6 +64,8 @@ class KeptDepth:
         withheld: what is not among the files because it would mean nothing, and why; None where all is there.
         depth: what of these is of the depth alone.
         is_whole: whether all the files are there as they were written.
+        of_set: the captures that were matched together with this one, and what they gave, as the key holds it.
+        unstripped: names of the bokeh files that say of the photo what its EXIF says.
     """
 
     files: tuple[str, ...]
@@ -70,6 +74,8 @@ class KeptDepth:
     withheld: str | None = None
     depth: DepthPart = field(default_factory=DepthPart)
     is_whole: bool = True
+    of_set: JsonValue = None
+    unstripped: tuple[str, ...] = ()
 
 
 class KeptRecord(Record):
@@ -85,6 +91,7 @@ class KeptRecord(Record):
         numbers: what was measured.
         withheld: what is not among the files, and why.
         depth: what of these is of the depth alone.
+        unstripped: names of the bokeh files that say of the photo what its EXIF says.
     """
 
     format: int = 0
@@ -96,6 +103,32 @@ class KeptRecord(Record):
     numbers: dict[str, Figure] = Field(default_factory=dict)
     withheld: Line | None = None
     depth: DepthPart = Field(default_factory=DepthPart)
+    unstripped: tuple[str, ...] = ()
+
+
+class SetFacts(Record):
+    """Facts for a capture's depth that come from all captures of its call.
+
+    Attributes:
+        captures: names of those captures.
+        facts: what they gave.
+    """
+
+    captures: frozenset[str]
+    facts: dict[str, JsonValue]
+
+
+def of_set(captures: Collection[str], facts: Mapping[str, object]) -> dict[str, object]:
+    """Return facts that come from a set of captures, for the key `OF_SET`.
+
+    They are compared by a call on all of those captures, with others or without. A call that leaves some of them out
+    takes depth as it was made with all of them: the window, for instance, still holds what the fewer need.
+
+    Args:
+        captures: names of all that the facts come from.
+        facts: as plain data.
+    """
+    return {"captures": sorted(captures), "facts": facts}
 
 
 def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
@@ -112,7 +145,7 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
         record = read_record(folder / KEPT_NAME, KeptRecord)
     except TelewideError:  # not there, or corrupt: it is made again
         return None
-    is_same = record.format == FORMAT and record.key == as_read(key)
+    is_same = record.format == FORMAT and _is_same(record.key, as_read(key))
     if not is_same or not all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items()):
         return None
     return _as_kept(record)
@@ -131,7 +164,8 @@ def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None
     try:
         record = read_record(folder / KEPT_NAME, KeptRecord)
         sha256 = record.depth.npz_sha256
-        if record.format != FORMAT or _without_later(record.key) != _without_later(as_read(key)) or sha256 is None:
+        is_same = _is_same(record.key, as_read(key), apart_from=MADE_OF_DEPTH)
+        if record.format != FORMAT or not is_same or sha256 is None:
             return None
         if not is_file(folder / NPZ_NAME) or fingerprint(folder / NPZ_NAME) != sha256:
             return None
@@ -141,13 +175,62 @@ def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None
     return replace(_as_kept(record), is_whole=is_whole)
 
 
-def _without_later(key: Mapping[str, JsonValue]) -> dict[str, JsonValue]:
-    return {name: value for name, value in key.items() if name not in MADE_OF_DEPTH}
+def _is_same(
+    kept: Mapping[str, JsonValue], asked: Mapping[str, JsonValue], *, apart_from: Collection[str] = ()
+) -> bool:
+    left_out = {*apart_from, OF_SET}
+    own, own_asked = ({name: key[name] for name in key.keys() - left_out} for key in (kept, asked))
+    return own == own_asked and _is_of_same_set(kept.get(OF_SET), asked.get(OF_SET))
+
+
+def _is_of_same_set(kept: JsonValue, asked: JsonValue) -> bool:
+    """Whether the facts of a set are as they were, or the call is on a part of that set."""
+    if kept is None or asked is None:
+        return kept == asked
+    try:
+        former, now = (checked(value, SetFacts) for value in (kept, asked))
+    except ValueError:
+        return False
+    return not former.captures <= now.captures or former.facts == now.facts
 
 
 def _as_kept(record: KeptRecord) -> KeptDepth:
     files = tuple(record.files_bytes)
-    return KeptDepth(files, record.notes, record.numbers, withheld=record.withheld, depth=record.depth)
+    return KeptDepth(
+        files,
+        record.notes,
+        record.numbers,
+        withheld=record.withheld,
+        depth=record.depth,
+        of_set=record.key.get(OF_SET),
+        unstripped=record.unstripped,
+    )
+
+
+def read_lying(folder: Path) -> KeptRecord | None:
+    """Read the record of the depth in a folder, whatever it was made from; None where it is not whole.
+
+    Args:
+        folder: of one capture.
+    """
+    try:
+        record = read_record(folder / KEPT_NAME, KeptRecord)
+    except TelewideError:
+        return None
+    is_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())
+    return record if record.format == FORMAT and is_whole and NPZ_NAME in record.files_bytes else None
+
+
+def unstripped_of(folder: Path) -> frozenset[str]:
+    """Names of the bokeh files in a folder that were made without ``--strip``; empty where nothing tells.
+
+    Args:
+        folder: of one capture.
+    """
+    try:
+        return frozenset(read_record(folder / KEPT_NAME, KeptRecord).unstripped)
+    except TelewideError:
+        return frozenset()
 
 
 def matcher_of(folder: Path) -> str | None:
@@ -287,5 +370,6 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], sour
         numbers=kept.numbers,
         withheld=kept.withheld,
         depth=kept.depth,
+        unstripped=kept.unstripped,
     )
     write_record(folder / KEPT_NAME, record)

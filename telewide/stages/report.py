@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from telewide.bokeh.picture import BokehOptions
+from telewide.capture.images import read_image
 from telewide.capture.pair import read_photos
 from telewide.pages.report import NextStep, ReportRow
-from telewide.pages.run_page import PAGE_NAME, is_page, next_steps, report_row, steps_after_depth, write_run_page
+from telewide.pages.run_page import (
+    CAPTURES_A_PAGE,
+    PAGE_NAME,
+    is_page,
+    next_steps,
+    report_row,
+    steps_after_depth,
+    write_run_page,
+)
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
-from telewide.stages.kept_depth import KEPT_NAME
+from telewide.stages.lying_depth import LyingDepth, lying_depths, names_lying
 from telewide.stages.training_result import read_result
 
 
@@ -48,10 +57,11 @@ def _written(
     if _is_trial(done, bokeh) and is_page(root / PAGE_NAME):
         return done
     trained = read_result(call.folder)
+    others = _others(call, done)
     page = write_run_page(
         root,
-        _rows(call, done, root=root, bokeh=bokeh),
-        names=[outcome.name for outcome in done.outcomes],
+        _rows(call, done, others, root=root, bokeh=bokeh),
+        names=sorted([*(outcome.name for outcome in done.outcomes), *(other.capture.name for other in others)]),
         log=call.folder.training_log,
         summary=summary,
         next_steps=steps,
@@ -60,8 +70,9 @@ def _written(
     )
     if page is None:
         call.observer.warned(f"{root / PAGE_NAME} is not a page of telewide's, so it is left as it is: no report")
-    elif others := _others(done):
-        call.observer.said(f"{page} shows what this call was given; {others} more lie in {done.folder}")
+    elif n_more := len(_names_of_others(done)) - len(others):
+        shown = "what this call was given" + (f" and {len(others)} of former calls" if others else "")
+        call.observer.said(f"{page} shows {shown}; {n_more} more lie in {done.folder}{_how_to_show_all(call)}")
     return replace(done, report=page)
 
 
@@ -71,21 +82,45 @@ def _is_trial(done: DepthRun, bokeh: BokehOptions | None) -> bool:
     return is_preview and all(outcome.is_kept or outcome.is_depth_kept for outcome in done.outcomes)
 
 
-def _others(done: DepthRun) -> int:
-    """Count captures of former calls whose depth lies beside that of this one."""
-    names = {outcome.name for outcome in done.outcomes}
-    return sum(record.parent.name not in names for record in done.folder.glob(f"*/{KEPT_NAME}"))
+def _names_of_others(done: DepthRun) -> frozenset[str]:
+    """Names of captures of former calls whose depth lies beside that of this one."""
+    return names_lying(done.folder).difference(outcome.name for outcome in done.outcomes)
 
 
-def _rows(call: Call, done: DepthRun, *, root: Path, bokeh: BokehOptions | None) -> Iterator[ReportRow]:
+def _others(call: Call, done: DepthRun) -> tuple[LyingDepth, ...]:
+    """Depth of former calls that the page goes on to show; none where all would not fit on one page: they take time."""
+    names = _names_of_others(done)
+    if len(names) + len(done.outcomes) > CAPTURES_A_PAGE:
+        return ()
+    names = names.difference(problem.name for problem in done.problems if problem.is_skipped)
+    return lying_depths(done.folder, names, pairs=call.folder.pairs, captures_root=call.captures.root)
+
+
+def _how_to_show_all(call: Call) -> str:
+    """Name the call on the whole folder, where this one was on a part of it."""
+    root, captures, one_call = call.captures.root, call.captures.captures, {"preview": None, "distance": None}
+    if call.invocation.options.get("only"):
+        return f"; to see all: {call.invocation.again(only=None, **one_call)}"
+    if len(captures) == 1 and captures[0].name == root.absolute().name:
+        return f"; to see all: {call.invocation.instead(call.invocation.command, root.parent, **one_call)}"
+    return ""
+
+
+def _rows(
+    call: Call, done: DepthRun, others: Sequence[LyingDepth], *, root: Path, bokeh: BokehOptions | None
+) -> Iterator[ReportRow]:
+    """Make the lines of a page one by one, by name: those of a call, and of depth that lies there."""
     captures = {capture.name: capture for capture in call.captures.captures}
-    for outcome in done.outcomes:
+    rotated_deg = 0 if call.rig is not None else call.captures.facts.rotated_deg  # a rig's photos are not turned
+    made = [LyingDepth(captures[one.name], {**one.numbers}, rotated_deg, bokeh) for one in done.outcomes]
+    for shown in sorted((*made, *others), key=lambda one: one.capture.name):
+        name = shown.capture.name
         yield report_row(
-            read_photos(captures[outcome.name], read=call.photos.read),
-            done.folder / outcome.name,
+            read_photos(shown.capture, read=call.photos.read if name in captures else read_image),
+            done.folder / name,
             root=root,
-            numbers=outcome.numbers,
-            rotated_deg=0 if call.rig is not None else call.captures.facts.rotated_deg,  # a rig's photos are not turned
-            corrected=call.folder.pairs / outcome.name,
-            bokeh_asked=bokeh,
+            numbers=shown.numbers,
+            rotated_deg=shown.rotated_deg,
+            corrected=call.folder.pairs / name,
+            bokeh_asked=shown.bokeh,
         )

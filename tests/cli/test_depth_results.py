@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,12 +116,48 @@ def test_run_without_a_network_trains_nothing(tmp_path: Path, rng: np.random.Gen
     assert 'data-scene="one"' in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_page_of_one_capture_says_that_others_have_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_captures(tmp_path / "captures", count=3, seed=1, hw=(96, 144), factor=2)
-    words = ("depth", str(tmp_path / "captures"), "--run", str(tmp_path / "run"), "--method", "sgm")
-    for only in ((), ("--only", "001")):
-        with pytest.raises(SystemExit) as left:
-            main([*words, *only])
-        assert not left.value.code
-        said = " ".join(capsys.readouterr().err.split())
-        assert ("shows what this call was given; 2 more lie in" in said) == bool(only)
+def scenes_of(page: Path) -> list[str]:
+    return re.findall(r'data-scene="([^"]*)"', page.read_text(encoding="utf-8"))
+
+
+def test_a_page_goes_on_showing_what_former_calls_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    captures, page = tmp_path / "captures", tmp_path / "run" / "report.html"
+    write_captures(captures, count=3, seed=1, hw=(96, 144), factor=2)
+    calls: list[tuple[Path, tuple[str, ...], list[str]]] = [
+        (captures, ("--bokeh", "--focus", "far"), ["000", "001", "002"]),
+        (captures, ("--only", "001", "--format", "grey"), ["000", "001", "002"]),
+        (captures / "002", ("--bokeh",), ["000", "001", "002"]),
+    ]
+    for place, words, shown in calls:
+        depth(place, tmp_path / "run", *words)
+        assert scenes_of(page) == shown
+        assert "more lie in" not in capsys.readouterr().err
+    write_image(captures / "000" / "tele.png", np.full((96, 144, 3), 0.5, np.float32))
+    depth(captures / "002", tmp_path / "run", "--bokeh", "--focus", "near")
+    assert scenes_of(page) == ["001", "002"], "of the other the photo has changed"
+    said = " ".join(capsys.readouterr().err.split())
+    assert "shows what this call was given and 1 of former calls; 1 more lie in" in said
+    assert f"to see all: telewide depth {captures} --run" in said
+
+
+def test_a_page_of_one_of_many_names_the_call_that_shows_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    captures, page = tmp_path / "captures", tmp_path / "run" / "report.html"
+    write_captures(captures, count=13, seed=1, hw=(64, 96), factor=2)
+    depth(captures, tmp_path / "run")
+    assert len(scenes_of(page)) == 12
+    capsys.readouterr()
+    depth(captures, tmp_path / "run", "--only", "001", "--format", "grey")
+    assert scenes_of(page) == ["001"]
+    said = " ".join(capsys.readouterr().err.split())
+    assert "shows what this call was given; 12 more lie in" in said
+    assert f"to see all: telewide depth {captures} --run" in said
+    assert "--only" not in said.partition("to see all")[2].partition("depth of")[0]
+
+
+def depth(captures: Path, run: Path, *words: str) -> None:
+    """Call ``telewide depth``."""
+    with pytest.raises(SystemExit) as left:
+        main(("depth", str(captures), "--run", str(run), "--method", "sgm", *words))
+    assert not left.value.code
