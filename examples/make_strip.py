@@ -1,6 +1,6 @@
 """Write the picture at the top of the README from a finished demo: wide, tele, disparity, bokeh of one capture.
 
-Run from the root of the checkout, after ``make demo``: ``python examples/make_strip.py demo 002``. The wide photo is
+Run from the root of the checkout, after ``make demo``: ``python examples/make_strip.py demo 003``. The wide photo is
 shown as it was rectified: the part that tele sees, enlarged.
 """
 
