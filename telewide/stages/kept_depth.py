@@ -141,14 +141,10 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     Returns:
         What was made, or None where it has to be made (again).
     """
-    try:
-        record = read_record(folder / KEPT_NAME, KeptRecord)
-    except TelewideError:  # not there, or corrupt: it is made again
+    record = _record_in(folder)
+    if record is None or record.format != FORMAT or not _is_same(record.key, as_read(key)):
         return None
-    is_same = record.format == FORMAT and _is_same(record.key, as_read(key))
-    if not is_same or not all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items()):
-        return None
-    return _as_kept(record)
+    return _as_kept(record) if _is_whole(folder, record) else None
 
 
 def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
@@ -171,8 +167,7 @@ def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None
             return None
     except TelewideError:  # not there, or corrupt: it is made again
         return None
-    is_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())
-    return replace(_as_kept(record), is_whole=is_whole)
+    return replace(_as_kept(record), is_whole=_is_whole(folder, record))
 
 
 def _is_same(
@@ -213,12 +208,11 @@ def read_lying(folder: Path) -> KeptRecord | None:
     Args:
         folder: of one capture.
     """
-    try:
-        record = read_record(folder / KEPT_NAME, KeptRecord)
-    except TelewideError:
+    record = _record_in(folder)
+    if record is None:
         return None
-    is_whole = all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())
-    return record if record.format == FORMAT and is_whole and NPZ_NAME in record.files_bytes else None
+    has_depth = record.format == FORMAT and NPZ_NAME in record.files_bytes
+    return record if has_depth and _is_whole(folder, record) else None
 
 
 def unstripped_of(folder: Path) -> frozenset[str]:
@@ -227,10 +221,8 @@ def unstripped_of(folder: Path) -> frozenset[str]:
     Args:
         folder: of one capture.
     """
-    try:
-        return frozenset(read_record(folder / KEPT_NAME, KeptRecord).unstripped)
-    except TelewideError:
-        return frozenset()
+    record = _record_in(folder)
+    return frozenset() if record is None else frozenset(record.unstripped)
 
 
 def matcher_of(folder: Path) -> str | None:
@@ -239,9 +231,8 @@ def matcher_of(folder: Path) -> str | None:
     Args:
         folder: of one capture.
     """
-    try:
-        record = read_record(folder / KEPT_NAME, KeptRecord)
-    except TelewideError:
+    record = _record_in(folder)
+    if record is None:
         return None
     is_there = record.format == FORMAT and record.depth.npz_sha256 is not None and is_file(folder / NPZ_NAME)
     name = record.key.get("matcher")
@@ -373,3 +364,14 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], sour
         unstripped=kept.unstripped,
     )
     write_record(folder / KEPT_NAME, record)
+
+
+def _record_in(folder: Path) -> KeptRecord | None:
+    try:
+        return read_record(folder / KEPT_NAME, KeptRecord)
+    except TelewideError:  # not there, or corrupt: it is made again
+        return None
+
+
+def _is_whole(folder: Path, record: KeptRecord) -> bool:
+    return all(_is_file_of(folder, name, n_bytes) for name, n_bytes in record.files_bytes.items())

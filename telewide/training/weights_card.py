@@ -50,12 +50,9 @@ def read_card(path: Path) -> WeightsCard:
 
     Raises:
         UsageError: there is no such file.
-        InputError: the file is damaged, or holds something else.
+        InputError: the file is corrupt, or holds something else.
     """
-    with open_regular(path) as stream:
-        header_bytes = int.from_bytes(stream.read(LENGTH_BYTES), "little")
-    if header_bytes > _MOST_HEADER_BYTES:  # of a file of another kind it means nothing, and is as large
-        raise no_weights(path)
+    _header(path)
     try:
         with safe_open(path, framework="numpy") as opened:
             metadata = opened.metadata() or {}
@@ -82,18 +79,22 @@ def has_same_tensors(path: Path, other: Path) -> bool:
 
 def _places(path: Path) -> tuple[dict[str, object], int]:
     """Kind, shape and place of each tensor in a weights file, and where the tensors begin."""
-    with open_regular(path) as stream:
-        header_bytes = int.from_bytes(stream.read(LENGTH_BYTES), "little")
-        if header_bytes > _MOST_HEADER_BYTES:
-            raise no_weights(path)
-        text = stream.read(header_bytes)
+    header = _header(path)
     try:
-        header = checked(parse_json(text.decode()), dict[str, JsonValue])
+        said = checked(parse_json(header.decode()), dict[str, JsonValue])
     except ValueError as error:
         raise no_weights(path) from error
-    return {name: place for name, place in header.items() if name != "__metadata__"}, LENGTH_BYTES + header_bytes
+    return {name: place for name, place in said.items() if name != "__metadata__"}, LENGTH_BYTES + len(header)
+
+
+def _header(path: Path) -> bytes:
+    with open_regular(path) as stream:
+        n_bytes = int.from_bytes(stream.read(LENGTH_BYTES), "little")
+        if n_bytes > _MOST_HEADER_BYTES:  # of a file of another kind it means nothing, and is as large
+            raise no_weights(path)
+        return stream.read(n_bytes)
 
 
 def no_weights(path: Path) -> InputError:
-    """Say that a file holds no weights, or is damaged."""
+    """Say that a file holds no weights, or is corrupt."""
     return InputError(f"{path} is no weights file of telewide, or is corrupt", hint="train a network to make one")
