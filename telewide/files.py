@@ -241,6 +241,25 @@ def changing(path: Path) -> Iterator[None]:
         raise _write_error(path, error) from error
 
 
+def refuse_unwritable(path: Path) -> None:
+    """Refuse a file that could not be written, before the work whose result it is to hold.
+
+    Nothing is made. What changes in the meantime is said when the file is written.
+
+    Args:
+        path: the file; neither it nor its folder need exist.
+
+    Raises:
+        UsageError: the nearest folder of its path that exists is none, or cannot be written to.
+    """
+    with changing(path):
+        nearest = next(place for place in path.absolute().parents if place.exists())
+        if not nearest.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"{nearest} is no folder")
+        if not os.access(nearest, os.W_OK | os.X_OK, effective_ids=os.access in os.supports_effective_ids):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
 def temporary_name(suffix: str) -> str:
     """Return a name that nobody can foresee and that says which process writes there; it ends in the suffix."""
     return f".telewide-{_host()}-{os.getpid()}-{secrets.token_hex(6)}{suffix}"

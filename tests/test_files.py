@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from ordinary_user import as_ordinary_user
 
 from telewide.boards.board import load_board
 from telewide.calibration.rig_file import read_rig
@@ -28,6 +29,8 @@ from telewide.files import (
     once_a_file,
     read_regular,
     refuse_other_than_folder,
+    refuse_unwritable,
+    write_text,
 )
 from telewide.recipe import load_recipe
 from telewide.records import read_json
@@ -228,3 +231,31 @@ class TestOnceAFile:
         _, read = self.counting()
         with pytest.raises(FileNotFoundError):
             read(tmp_path / "none")
+
+
+def test_a_place_for_a_result_is_refused_before_the_work_exactly_where_writing_fails(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for name, mode in (("open", 0o777), ("closed", 0o555)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name).chmod(mode)
+    places = [tmp_path / "open/rig.yaml", tmp_path / "open/new/rig.yaml"]
+    refused = [tmp_path / "closed/rig.yaml", tmp_path / "closed/new/rig.yaml", tmp_path / "file/rig.yaml"]
+
+    def write(place: Path) -> None:
+        place.parent.mkdir(exist_ok=True)
+        write_text(place, "")
+
+    def look() -> None:
+        for place in places:
+            refuse_unwritable(place)
+        assert not places[1].parent.exists()
+        for place in places:
+            write(place)
+        for place in refused:
+            with pytest.raises(UsageError, match="cannot be written") as told:
+                refuse_unwritable(place)
+            assert str(place) in told.value.message
+            with pytest.raises((TelewideError, OSError)):
+                write(place)
+
+    as_ordinary_user(tmp_path, look)

@@ -13,7 +13,7 @@ import typer
 from telewide.cli.arguments import DEFAULT_RIG, JsonOption, QuietOption
 from telewide.cli.console import console_observer, hand_over
 from telewide.errors import QualityError, UsageError
-from telewide.files import is_folder
+from telewide.files import is_folder, refuse_unwritable
 from telewide.ranges import MAX_SEED
 from telewide.text import command_line
 
@@ -94,6 +94,7 @@ def _check_out(out: Path) -> None:
         raise UsageError(f"--out {out}: a file that ends in .yaml was expected")
     if is_folder(out):
         raise UsageError(f"--out {out} is a folder; a file was expected")
+    refuse_unwritable(out)
 
 
 def _refuse_options_of_scenes(stated: Mapping[str, object]) -> None:
