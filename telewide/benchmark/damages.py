@@ -71,8 +71,6 @@ class Damages(Options):
     """A file of damages."""
 
     format: Literal[1]
-    factors: tuple[Annotated[float, Field(ge=1)], ...]
-    """Factors of the tables: times fewer pixels along each side."""
     damages: dict[str, Damage]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -40,6 +41,14 @@ RunOption = Annotated[
 ]
 StepsOption = Annotated[
     int | None, typer.Option(min=1, max=MAX_STEPS, help="Steps of each training instead, all its stages together.")
+]
+DataSetsOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME,...", help="Protocols or data sets, such as kitti_2012. [default: those of the table]"),
+]
+FactorsOption = Annotated[
+    str | None,
+    typer.Option(metavar="FACTOR,...", help="Times fewer pixels a side, such as 2,3. [default: those of the table]"),
 ]
 RestorerOption = Annotated[
     list[str] | None,
@@ -235,7 +244,10 @@ def metres(
     _hand_over(report, metres_table(report), json_file)
 
 
-@benchmark_app.command(epilog="Example: `telewide benchmark paper --table overall --data data/ --systems sgm`")
+@benchmark_app.command(
+    epilog="Examples: `telewide benchmark paper --table overall --data data/ --systems sgm`, "
+    "`telewide benchmark paper --table prior --data data/ --data-sets captures,kitti_2012 --factors 1,3`"
+)
 def paper(
     *,
     table: Annotated[str | None, typer.Option(metavar="NAME", help="Which table; see --list-tables.")] = None,
@@ -246,6 +258,8 @@ def paper(
     damages: Annotated[
         str | None, typer.Option(metavar="NAME,...", help="Of the second view. [default: those of the table]")
     ] = None,
+    data_sets: DataSetsOption = None,
+    factors: FactorsOption = None,
     budget: Annotated[float, typer.Option(metavar="MIN", min=0.01, help="Minutes of each training.")] = 8.0,
     steps: StepsOption = None,
     restorer_weights: RestorerOption = None,
@@ -262,14 +276,14 @@ def paper(
     from telewide.benchmark.paper.run import PaperOptions
     from telewide.benchmark.paper.system import Budget
     from telewide.benchmark.paper.systems import SYSTEMS
-    from telewide.benchmark.paper.tables import find_table, load_tables
+    from telewide.benchmark.paper.tables import find_table, load_tables, with_columns
 
     if list_tables or list_systems:
         _list(load_tables() if list_tables else SYSTEMS)
         return
     if table is None or data is None:
         raise UsageError("--table and --data were expected", hint="--list-tables names the tables")
-    wanted = find_table(table)
+    wanted = with_columns(find_table(table), data_sets=_names(data_sets), factors=_factors(factors))
     options = PaperOptions(
         data,
         out,
@@ -306,6 +320,16 @@ def _list(known: Mapping[str, Table] | Mapping[str, System]) -> None:
 
 def _names(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
+
+
+def _factors(text: str | None) -> tuple[float, ...]:
+    try:
+        factors = tuple(float(word) for word in _names(text))
+    except ValueError:
+        factors = (math.nan,)
+    if not all(1 <= factor < math.inf for factor in factors):
+        raise UsageError(f"--factors {text}: numbers of at least 1 were expected, such as 2,3")
+    return factors
 
 
 def _weights(stated: Sequence[str], of_psmnet: Path | None) -> dict[str, tuple[Path, ...]]:

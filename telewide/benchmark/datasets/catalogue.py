@@ -23,6 +23,8 @@ _FULL_HEIGHT_2006_PX = 1110
 _HEIGHT_TOLERANCE = 0.1
 _MIDDLEBURY_TERMS = "free to use and publish; its authors ask to cite the paper"
 _KITTI_TERMS = "CC BY-NC-SA 3.0"
+_SIZES = {"third": 3, "half": 2, "full": 1}
+"""Of the pictures of Middlebury 2005 and 2006: the full one divided by so much."""
 _KITTI_PAGES = {2012: "eval_stereo_flow.php", 2015: "eval_scene_flow.php"}
 
 
@@ -47,6 +49,12 @@ class DataSet:
     scenes: Callable[[Path], tuple[str, ...]]
     read: Callable[[Path, str, Views], StereoTruth]
     views: Views | None = None
+
+    @property
+    def origin(self) -> str:
+        """Name of what was published, whatever the size of its pictures: of one origin and name is one scene."""
+        stem, _, size = self.name.rpartition("_")
+        return stem if size in _SIZES else self.name
 
 
 def _one_pair(read: Callable[[Path], StereoTruth]) -> Callable[[Path, str, Views], StereoTruth]:
@@ -103,11 +111,7 @@ _SETS = (
         scenes=middlebury.scenes_2003,
         read=_one_pair(middlebury.read_middlebury_2003),
     ),
-    *(
-        _middlebury_2006(year, size, denominator)
-        for year in (2005, 2006)
-        for size, denominator in (("third", 3), ("half", 2), ("full", 1))
-    ),
+    *(_middlebury_2006(year, size, denominator) for year in (2005, 2006) for size, denominator in _SIZES.items()),
     DataSet(
         name="middlebury_2014",
         source="https://vision.middlebury.edu/stereo/data/scenes2014/",

@@ -268,13 +268,14 @@ def _learned_from(
 ) -> tuple[tuple[Scene, ...], tuple[Scene, ...]]:
     """Scenes to learn from and to choose weights by, of the first protocol that has any which are not tested.
 
-    Where the protocol has none to choose by, every eighth of those to learn from is one.
+    A scene is tested at whatever size it is read. Where the protocol has none to choose by, every eighth of those to
+    learn from is one.
     """
-    unseen = {(scene.root, scene.name) for scene in tested}
+    seen = {(scene.data_set.origin, scene.name) for scene in tested}
 
     def fresh(protocol: str, split: str) -> tuple[Scene, ...]:
         _, found, _ = _first_there([protocol], data_root, split)
-        return tuple(scene for scene in found if (scene.root, scene.name) not in unseen)
+        return tuple(scene for scene in found if (scene.data_set.origin, scene.name) not in seen)
 
     for name in column.training:
         training, validation = fresh(name, _TRAINING), fresh(name, _VALIDATION)

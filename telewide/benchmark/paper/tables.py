@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
+from telewide.benchmark.datasets.catalogue import DATA_SETS
+from telewide.benchmark.datasets.protocols import load_protocols
 from telewide.errors import InputError, unknown_name
 from telewide.options import Options, parse_options
 from telewide.yaml_files import read_yaml
 
 TABLES_FILE = Path(__file__).with_name("tables.yaml")
 _NONE = "-"
+_LEARNED_FROM = "middlebury-2006-third"
+"""Protocol to learn from where a data set has no split to learn from."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,48 @@ def find_table(name: str) -> Table:
     if name not in tables:
         raise unknown_name("table", name, tables)
     return tables[name]
+
+
+def with_columns(table: Table, *, data_sets: Sequence[str] = (), factors: Sequence[float] = ()) -> Table:
+    """Put other data sets and factors in the place of a table's own; the damages stay.
+
+    Args:
+        table: which one.
+        data_sets: names of protocols, of data sets, which are judged whole, or of a table's; empty for its own.
+        factors: times fewer pixels along each side; empty for its own.
+
+    Returns:
+        The table with a column for each data set, damage and factor. Published values stay with the columns that they
+        are of.
+
+    Raises:
+        UsageError: a data set that does not exist; the nearest name is told.
+    """
+    own = table.columns
+    known = {c.data_set: (c.test, c.training) for each in (*load_tables().values(), table) for c in each.columns}
+    columns = tuple(
+        Column(data_set, *_protocols_of(data_set, known), damage=damage, factor=factor)
+        for data_set in dict.fromkeys(data_sets or [column.data_set for column in own])
+        for damage in dict.fromkeys(column.damage for column in own)
+        for factor in dict.fromkeys(factors or [column.factor for column in own])
+    )
+    rows = {
+        system: tuple(values[own.index(column)] if column in own else None for column in columns)
+        for system, values in table.rows.items()
+    }
+    return replace(table, columns=columns, rows=rows)
+
+
+def _protocols_of(
+    data_set: str, of_tables: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Protocols to be judged by and to learn from."""
+    if data_set in of_tables:
+        return of_tables[data_set]
+    others = [*load_protocols(), *DATA_SETS]
+    if data_set not in others:
+        raise unknown_name("data set", data_set, [*(name for name in of_tables if "," not in name), *others])
+    return (data_set,), (data_set, _LEARNED_FROM)
 
 
 def _table(name: str, table: _Table, data_sets: dict[str, _DataSet], path: Path) -> Table:
