@@ -249,10 +249,13 @@ def plan_column(column: Column, systems: Sequence[System], wanted: Wanted) -> tu
     if name != column.test[0]:
         notes = [f"{column.data_set}: {name} stands in for {column.test[0]}, so published values are of other scenes"]
     training, validation = _learned_from(column, wanted.data_root, tested=scenes)
+    window = _joined_window(training or scenes)
+    if window is None:
+        return [], [*notes, f"{column.data_set} is left out: no disparity of its scenes is known"]
     task = Task(
         training=training,
         validation=validation,
-        window=_joined_window(training or scenes),
+        window=window,
         damage=find_damage(column.damage, wanted.damages),
         factor=column.factor,
         seed=wanted.seed,
@@ -287,8 +290,17 @@ def _learned_from(
     return (), ()
 
 
-def _joined_window(scenes: Sequence[Scene]) -> Window:
-    return joined_window(scene.protocol.window_px or search_window(scene.protocol, scene.read()) for scene in scenes)
+def _joined_window(scenes: Sequence[Scene]) -> Window | None:
+    """Disparities of all scenes together; None where none is known."""
+    windows = [window for scene in scenes if (window := _window_of(scene)) is not None]
+    return joined_window(windows) if windows else None
+
+
+def _window_of(scene: Scene) -> Window | None:
+    if scene.protocol.window_px is not None:
+        return scene.protocol.window_px
+    truth = scene.read()
+    return search_window(scene.protocol, truth) if np.isfinite(truth.disparity_px).any() else None
 
 
 def _judged(estimate_px: FloatMap, truth: StereoTruth) -> list[Row]:
