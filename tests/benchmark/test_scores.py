@@ -79,6 +79,83 @@ def test_edges_that_are_far_missing_or_unknown() -> None:
     assert math.isnan(boundary_errors(step(20), np.full(HW, 5, np.float32)).accuracy_px)
 
 
+def looped_gaussian(values: np.ndarray) -> np.ndarray:
+    """A Gaussian of sqrt(2) px, reaching 6 px, the border repeated: exp(-t^2 / 4) along rows, then along columns."""
+    weights = {t: math.exp(-t * t / 4) for t in range(-6, 7)}
+    total = sum(weights.values())
+    height, width = values.shape
+    along, both = np.zeros(values.shape), np.zeros(values.shape)
+    for y, x in np.ndindex(height, width):
+        along[y, x] = sum(w * values[y, min(max(x + t, 0), width - 1)] for t, w in weights.items()) / total
+    for y, x in np.ndindex(height, width):
+        both[y, x] = sum(w * along[min(max(y + t, 0), height - 1), x] for t, w in weights.items()) / total
+    return both
+
+
+def looped_canny(map_px: np.ndarray, low_px: float, high_px: float) -> np.ndarray:
+    """Canny's edges pixel by pixel: Sobel, the steepest across, strong ones and what touches them."""
+    smooth = looped_gaussian(np.clip((map_px - low_px) / (high_px - low_px), 0, 1))
+    height, width = smooth.shape
+    padded = np.pad(smooth, 1, mode="edge")
+    slope, sector = np.zeros((height + 2, width + 2)), {}
+    for y, x in np.ndindex(height, width):
+        dx = sum(w * (padded[y + i, x + 2] - padded[y + i, x]) for i, w in enumerate((1, 2, 1)))
+        dy = sum(w * (padded[y + 2, x + i] - padded[y, x + i]) for i, w in enumerate((1, 2, 1)))
+        slope[y + 1, x + 1] = math.hypot(dx, dy)
+        eighths = round(math.atan2(dy, dx) / (math.pi / 4)) % 4
+        sector[y, x] = ((0, 1), (1, 1), (1, 0), (1, -1))[eighths]
+    thin = {
+        (y, x)
+        for (y, x), (down, right) in sector.items()
+        if slope[y + 1, x + 1] > max(slope[y + 1 + down, x + 1 + right], slope[y + 1 - down, x + 1 - right], 0.15)
+    }
+    edges = {(y, x) for y, x in thin if slope[y + 1, x + 1] > 0.3}
+    while further := {(y, x) for y, x in thin - edges if any(abs(y - v) < 2 and abs(x - u) < 2 for v, u in edges)}:
+        edges |= further
+    found = np.zeros(map_px.shape, np.bool_)
+    for place in edges:
+        found[place] = True
+    return found
+
+
+def looped_boundary_errors(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
+    """Accuracy and completeness by the distance of every edge pixel to every other."""
+
+    def to_nearest(edges: np.ndarray, others: np.ndarray) -> list[float]:
+        return [min(math.dist(a, b) for b in np.argwhere(others)) for a in np.argwhere(edges)]
+
+    to_true, to_found = to_nearest(found, true), to_nearest(true, found)
+    near = [distance for distance in to_true if distance <= 10]
+    both = [min(distance, 10) for distance in to_true + to_found]
+    return sum(near) / len(near), sum(both) / len(both)
+
+
+@pytest.mark.parametrize("has_unknown", [False, True])
+def test_boundary_errors_are_those_of_plain_loops(has_unknown: bool, rng: np.random.Generator) -> None:
+    blocks, others = (np.kron(rng.uniform(5, 40, (4, 7)), np.ones((9, 10))) for _ in range(2))
+    # Of two columns that are equally steep either may be the edge, so steps lie between pixels at no half.
+    blocks, others = (0.7 * each + 0.3 * np.roll(each, (1, 1), (0, 1)) for each in (blocks, others))
+    truth_px = (blocks + rng.normal(0, 0.3, blocks.shape)).astype(np.float32)
+    shifted = np.roll(0.8 * blocks + 0.2 * others, (1, 3), (0, 1))
+    truth_px[:, :35] = 20  # nothing is true within 10 px of what is found there
+    estimate_px = (shifted + rng.normal(0, 0.5, blocks.shape)).astype(np.float32)
+    filled_px = truth_px.copy()
+    if has_unknown:
+        truth_px[:, -12:] = np.nan
+        filled_px[:, -12:] = filled_px[:, -13:-12]  # the nearest that is known
+    ends_px = float(np.nanmin(truth_px)), float(np.nanmax(truth_px))
+    known = np.isfinite(truth_px)
+    found, true = (depth_edges(map_px, ends_px=ends_px) & known for map_px in (estimate_px, truth_px))
+    for ours, map_px in ((found, estimate_px), (true, filled_px)):
+        expected = looped_canny(map_px, *ends_px) & known
+        assert expected.sum() > 100
+        assert (ours != expected).sum() <= 3, "slopes are whole numbers, of which two may be equal"
+    accuracy_px, completeness_px = looped_boundary_errors(found, true)
+    assert 0.5 < accuracy_px < completeness_px < 8, "some are farther than 10 px"
+    errors = boundary_errors(estimate_px, truth_px)
+    assert (errors.accuracy_px, errors.completeness_px) == pytest.approx((accuracy_px, completeness_px), abs=1e-9)
+
+
 def looped_f1(estimate: np.ndarray, truth: np.ndarray) -> float:
     """Boundary F1 of one pixel and neighbour at a time."""
     total, weights = 0.0, 0.0
