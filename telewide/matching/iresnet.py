@@ -1,11 +1,11 @@
 """`iresnet` and `iresnet-s`: matching by 2-D convolutions alone, then refinement by the error of reconstruction.
 
 Structure: Liang et al., *Learning for Disparity Estimation through Feature Constancy*, 2018, in the layout of the
-authors' code, whose names the layers have: `iresnet` at its widths (43 M parameters), `iresnet-s` at an eighth of them,
-as large as `psmnet-s`. Weights of the authors are for Caffe, so none are read. Apart from their code: disparities are
-``x_ref - x_src``; the last layer of Phi_F, which they have twice, serves both views; a window that the correlation does
-not reach is searched around its middle; refined outputs are kept within the window; and a volume is made of the result,
-from which confidence and the left-right check are read.
+authors' code, whose names the layers have where those are more than Caffe's numbers: `iresnet` at its widths (43 M
+parameters), `iresnet-s` at an eighth of them, as large as `psmnet-s`. Weights of the authors are for Caffe, so none are
+read. Apart from their code: disparities are ``x_ref - x_src``; the last layer of Phi_F, which they have twice, serves
+both views; a window that the correlation does not reach is searched around its middle; refined outputs are kept within
+the window; and a volume is made of the result, from which confidence and the left-right check are read.
 Letters: B batch, C channels, D planes, H W grid at hand.
 """
 

@@ -11,35 +11,86 @@ from torch.nn import functional
 from telewide.matching.iresnet import IresnetFeatures, IresnetMatching, search_centre_px
 from telewide.matching.networks import StereoNetwork, build_network, comparable_map
 
-# name: c_in, c_out, side of every layer of the authors' deploy file, as facts ("d" before a transposed one). The layers
-# of the decoder, which the file numbers by the level they come from, are listed from the deepest.
+# Facts of the authors' deploy file: a layer here, the layer there, and the sides of its weights as Caffe keeps them:
+# c_out c_in k k, of a transposed one c_in c_out k k; c_in is that of what is concatenated there. The refinement has its
+# layers there once an iteration, _itr1 and _itr2, with shared weights. up_conv1a2a has a twin there for the right view,
+# up_conv1b2b, with weights of its own; here one serves both views.
 PUBLISHED = """
-conv1 3 64 7 | conv2 64 128 5 | conv_redir 128 64 1 | conv3 145 256 5 | conv3_1 256 256 3 | conv4 256 512 3
-conv4_1 512 512 3 | conv5 512 512 3 | conv5_1 512 512 3 | conv6 512 1024 3 | conv6_1 1024 1024 3
-predict_flow6 1024 1 3
-up_conv1ab d64 32 4 | up_conv2ab d128 32 8 | up_conv1a2a 64 32 1 | conv1_mini 64 16 3
-zoom_conv0 65 32 3 | zoom_conv1 32 64 3 | zoom_conv1b 105 64 3 | zoom_conv2 64 128 3 | zoom_conv2b 128 128 3
-zoom_predict2 128 1 3 | zoom_deconv2 d128 64 4 | zoom_upsample2 d1 1 4 | zoom_fused1 129 64 3 | zoom_predict1 64 1 3
-zoom_deconv1 d64 32 4 | zoom_upsample1 d1 1 4 | zoom_fused0 65 32 3 | zoom_predict0 32 1 3
-deconv d1024 512 4 | concat 1025 512 3 | predict_flow 512 1 3 | upsample_flow d1 1 4
-deconv d512 256 4 | concat 769 256 3 | predict_flow 256 1 3 | upsample_flow d1 1 4
-deconv d256 128 4 | concat 385 128 3 | predict_flow 128 1 3 | upsample_flow d1 1 4
-deconv d128 64 4 | concat 193 64 3 | predict_flow 64 1 3 | upsample_flow d1 1 4
-deconv d64 32 4 | concat 97 32 3 | predict_flow 32 1 3 | upsample_flow d1 1 4
-deconv d32 32 4 | concat 65 32 3 | predict_flow 32 1 3 | upsample_flow d1 1 4
+features.conv1 conv1 64 3 7 7
+features.conv2 conv2 128 64 5 5
+features.up_conv1ab up_conv1ab 64 32 4 4
+features.up_conv2ab up_conv2ab 128 32 8 8
+features.up_conv1a2a up_conv1a2a 32 64 1 1
+matching.conv_redir conv_redir 64 128 1 1
+matching.conv3 conv3 256 145 5 5
+matching.conv3_1 conv3_1 256 256 3 3
+matching.conv4 conv4 512 256 3 3
+matching.conv4_1 conv4_1 512 512 3 3
+matching.conv5 conv5 512 512 3 3
+matching.conv5_1 conv5_1 512 512 3 3
+matching.conv6 conv6 1024 512 3 3
+matching.conv6_1 conv6_1 1024 1024 3 3
+matching.predict_flow6 Convolution1 1 1024 3 3
+matching.ups.0.deconv deconv5 1024 512 4 4
+matching.ups.0.upsample_flow upsample_flow6to5 1 1 4 4
+matching.ups.0.concat Convolution2 512 1025 3 3
+matching.ups.0.predict_flow Convolution3 1 512 3 3
+matching.ups.1.deconv deconv4 512 256 4 4
+matching.ups.1.upsample_flow upsample_flow5to4 1 1 4 4
+matching.ups.1.concat Convolution4 256 769 3 3
+matching.ups.1.predict_flow Convolution5 1 256 3 3
+matching.ups.2.deconv deconv3 256 128 4 4
+matching.ups.2.upsample_flow upsample_flow4to3 1 1 4 4
+matching.ups.2.concat Convolution6 128 385 3 3
+matching.ups.2.predict_flow Convolution7 1 128 3 3
+matching.ups.3.deconv deconv2 128 64 4 4
+matching.ups.3.upsample_flow upsample_flow3to2 1 1 4 4
+matching.ups.3.concat Convolution8 64 193 3 3
+matching.ups.3.predict_flow Convolution9 1 64 3 3
+matching.ups.4.deconv deconv1 64 32 4 4
+matching.ups.4.upsample_flow upsample_flow2to1 1 1 4 4
+matching.ups.4.concat Convolution10 32 97 3 3
+matching.ups.4.predict_flow Convolution11 1 32 3 3
+matching.ups.5.deconv deconv0 32 32 4 4
+matching.ups.5.upsample_flow upsample_flow1to0 1 1 4 4
+matching.ups.5.concat Convolution21 32 65 3 3
+matching.ups.5.predict_flow Convolution22 1 32 3 3
+matching.conv1_mini compress_conv1a1b 16 64 3 3
+matching.refinement.zoom_conv0 zoom_conv0 32 65 3 3
+matching.refinement.zoom_conv1 zoom_conv1 64 32 3 3
+matching.refinement.zoom_conv1b zoom_conv1b 64 105 3 3
+matching.refinement.zoom_conv2 zoom_conv2 128 64 3 3
+matching.refinement.zoom_conv2b zoom_conv2b 128 128 3 3
+matching.refinement.zoom_predict2 zoom_Convolution2 1 128 3 3
+matching.refinement.zoom_deconv2 zoom_deconv2 128 64 4 4
+matching.refinement.zoom_upsample2 zoom_upsample_2to1 1 1 4 4
+matching.refinement.zoom_fused1 zoom_fused1 64 129 3 3
+matching.refinement.zoom_predict1 zoom_Convolution1 1 64 3 3
+matching.refinement.zoom_deconv1 zoom_deconv1 64 32 4 4
+matching.refinement.zoom_upsample1 zoom_upsample_1to0 1 1 4 4
+matching.refinement.zoom_fused0 zoom_fused0 32 65 3 3
+matching.refinement.zoom_predict0 zoom_Convolution0 1 32 3 3
 """
 
 
-def test_layers_are_the_published_ones() -> None:
-    stated = sorted(tuple(row.split()) for row in PUBLISHED.replace("\n", "|").split("|") if row.strip())
-    built = []
-    for name, layer in build_network("iresnet").named_modules():
-        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
-            mark = "d" if isinstance(layer, nn.ConvTranspose2d) else ""
-            row = (f"{mark}{layer.in_channels}", str(layer.out_channels), str(layer.kernel_size[0]))
-            built.append((name.rpartition(".")[2], *row))
-            assert layer.bias is not None
-    assert sorted(built) == stated
+def test_every_layer_is_one_of_the_published_ones() -> None:
+    stated = [row.split() for row in PUBLISHED.strip().splitlines()]
+    shapes = {ours: tuple(map(int, sides)) for ours, _, *sides in stated}
+    built = {
+        name: layer
+        for name, layer in build_network("iresnet").named_modules()
+        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d)
+    }
+    assert {name: tuple(layer.weight.shape) for name, layer in built.items()} == shapes
+    assert len({theirs for _, theirs, *_ in stated}) == len(stated) == 54
+    for ours, theirs, *_ in stated:
+        layer = built[ours]
+        assert layer.bias is not None
+        assert layer.bias.shape == (layer.out_channels,)
+        is_transposed = theirs.startswith(("deconv", "upsample_", "up_conv1ab", "up_conv2ab", "zoom_deconv", "zoom_up"))
+        assert isinstance(layer, nn.ConvTranspose2d) == is_transposed, ours
+    parameters = sum(p.numel() for p in build_network("iresnet").parameters())
+    assert parameters == sum(p.numel() for layer in built.values() for p in layer.parameters())
 
 
 def test_the_compact_one_is_as_large_as_psmnet_s() -> None:
