@@ -165,7 +165,7 @@ def _say(done: CalibrationRun, observer: ConsoleObserver, *, next_steps: tuple[s
     if stored.quality.verdict != "insufficient":
         depth, train = next_steps
         observer.said(f"next: {depth}")
-        observer.said(f"then, to make the network better on your captures: {train}")
+        observer.said(f"then, to adapt the network to your captures: {train}")
 
 
 def _hand_over(done: CalibrationRun, *, again: str, as_json: bool) -> None:

@@ -44,7 +44,7 @@ def train(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Train a stereo network on your own captures, without labels; run again to continue."""
+    """Adapt the network to your own captures, without labels, where that is judged better; run again to continue."""
     from telewide.api import train as train_network
 
     with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:

@@ -219,8 +219,8 @@ def next_steps(root: Path, *, recipe: Recipe, invocation: Invocation, is_box: bo
     steps = []
     if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
         longer = invocation.instead("run", out=f"{root}-{DEFAULT_RECIPE}", recipe=None, set=None)
-        hope = "Train longer, which may help; so may more captures:" if is_box else "Train longer, for better depth:"
-        steps.append(NextStep(hope, longer))
+        more = "; so may more captures" if is_box else ""
+        steps.append(NextStep(f"Train longer, which may help{more}:", longer))
     near = invocation.instead("depth", run=root, bokeh=True, focus="near")
     steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
     own = command_line("run", "my-captures/")

@@ -53,8 +53,8 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None, out: Pat
         raise UsageError(f"{path} does not exist; a weights file was expected")
     if method != "sgm" and weights is None and not is_file(path):
         path = BOX_WEIGHTS
-        better = call.invocation.instead("train")
-        call.observer.said(f"matched by the network that comes with telewide; made better on your photos: {better}")
+        training = call.invocation.instead("train")
+        call.observer.said(f"matched by the network that comes with telewide; to adapt it to your photos: {training}")
     goes_on = "" if weights else f"; {call.invocation.instead('train')} goes on"
     matcher = read_matcher(
         path, method=method, device=call.device, doubted=lambda doubt: call.observer.said(f"{doubt}{goes_on}")

@@ -67,7 +67,7 @@ def steps_with_rig(captures: Path, rig: Path) -> tuple[NextStep, NextStep]:
     depth, train = calls_with_rig(captures, rig)
     return (
         NextStep("Depth and bokeh of captures taken with the same lenses:", depth),
-        NextStep("Make the network better on them:", train),
+        NextStep("Adapt the network to them:", train),
     )
 
 

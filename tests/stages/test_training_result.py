@@ -81,4 +81,4 @@ def test_the_page_says_what_a_training_led_to_and_hopes_for_no_more(tmp_path: Pa
     words = page.read_text(encoding="utf-8")
     assert told in words
     assert "judged, px off" in words
-    assert "for better depth" not in words
+    assert "which may help" in words
