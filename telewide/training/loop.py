@@ -252,9 +252,12 @@ def _diverged(what: str, stage: Stage, state: TrainingState) -> QualityError:
 
 
 def learning_rate(stage: Stage, *, step: int) -> float:
-    """Warm-up, plateau, and a fall to a tenth over the last quarter of the stage's ceiling."""
-    left = (stage.options.steps - step) / stage.options.steps
-    cooled = LAST_LEARNING_RATE + (1 - LAST_LEARNING_RATE) * min(1.0, left / COOL_DOWN_SHARE)
+    """Warm-up, then a fall: to a tenth over the last quarter of the stage's ceiling, or as the stage states."""
+    left, share = (stage.options.steps - step) / stage.options.steps, stage.options.final_rate_share
+    if share is None:
+        cooled = LAST_LEARNING_RATE + (1 - LAST_LEARNING_RATE) * min(1.0, left / COOL_DOWN_SHARE)
+    else:
+        cooled = share + (1 - share) * (1 - math.cos(math.pi * left)) / 2
     return stage.options.learning_rate * min(1.0, (step + 1) / WARM_UP_STEPS) * cooled
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from pydantic import ValidationError
 from training.small import CPU, CROP_HW, Heard, ScriptedJudge, stage_of, three_stages, training_in
 
 from telewide.errors import QualityError, UsageError
@@ -477,6 +478,25 @@ def test_learning_rate_warms_up_and_cools_down() -> None:
     assert rates[WARM_UP_STEPS - 1 : 750] == pytest.approx([2e-3] * (751 - WARM_UP_STEPS))
     assert all(a > b for a, b in pairwise(rates[751:]))
     assert rates[-1] == pytest.approx(2e-3 * (LAST_LEARNING_RATE + 0.9 * 0.001 / COOL_DOWN_SHARE))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_learning_rate_falls_along_the_cosine_of_torch(share: float) -> None:
+    """Oracle: ``CosineAnnealingLR``."""
+    stage = stage_of(steps=200, rehearsed=1, learning_rate=2e-3, final_rate_share=share)
+    optimiser = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=2e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, T_max=200, eta_min=share * 2e-3)
+    for step in range(200):
+        warmth = min(1.0, (step + 1) / WARM_UP_STEPS)
+        assert learning_rate(stage, step=step) == pytest.approx(warmth * optimiser.param_groups[0]["lr"], rel=1e-6)
+        optimiser.step()
+        schedule.step()
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_learning_rate_that_ends_below_nothing_or_above_itself_is_refused(share: float) -> None:
+    with pytest.raises(ValidationError, match="final_rate_share"):
+        stage_of(steps=200, rehearsed=1, final_rate_share=share)
 
 
 def test_no_gradient_is_longer_than_one(tmp_path: Path, source: SampleSource) -> None:
