@@ -35,6 +35,7 @@ LAYERS = {
     "files": 0,
     "folders": 0,
     "metrics": 0,
+    "origin": 0,
     "srgb": 0,
     "text": 0,
     "geometry": 0,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -66,6 +67,7 @@ class TrainingState:
         stage_judgements: the judgement of each finished stage's result.
         is_finished: whether nothing is left to do.
         best_stage: position of the stage whose weights are the result, once finished.
+        trained_s: seconds that all steps took, also those before a resumption; judgements are not counted.
     """
 
     network: StereoNetwork
@@ -79,6 +81,7 @@ class TrainingState:
     stage_judgements: list[float] = field(default_factory=list)
     is_finished: bool = False
     best_stage: int = 0
+    trained_s: float = 0.0
 
 
 def learner_of(state: TrainingState, stage: Stage) -> nn.Module:
@@ -139,6 +142,7 @@ def save_state(state: TrainingState, path: Path) -> None:
         "stage_judgements": list(state.stage_judgements),
         "is_finished": state.is_finished,
         "best_stage": state.best_stage,
+        "trained_s": state.trained_s,
     }
     # Written by Python: torch does not say that a disk is full.
     buffer = io.BytesIO()
@@ -181,6 +185,7 @@ def load_state(
         for name in ("judgements", "stage_judgements"):
             setattr(state, name, [_figure(value) for value in content[name]])
         state.is_finished = content["is_finished"] is True
+        state.trained_s = _seconds(content.get("trained_s", 0.0))  # older versions kept none
         state.best = None if content["best"] is None else _best_weights(state, content["best"])
         if plan is not None:
             _check_place(state, plan)
@@ -257,6 +262,13 @@ def _count(value: object) -> int:
     if type(value) is not int or value < 0:
         raise TypeError(f"{type(value).__name__} is no number of steps")
     return value
+
+
+def _seconds(value: object) -> float:
+    seconds = _figure(value)
+    if not 0 <= seconds < math.inf:
+        raise ValueError(f"{seconds} is no time")
+    return seconds
 
 
 def _figure(value: object) -> float:

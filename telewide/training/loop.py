@@ -19,10 +19,12 @@ from types import FrameType
 import torch
 from torch import Tensor
 
+from telewide.cores import processor_name
 from telewide.errors import QualityError, UsageError
 from telewide.matching.inference import full_precision, low_precision
 from telewide.matching.networks import StereoNetwork, prepare_view
 from telewide.matching.window import VOLUME_STEP_PX, Window
+from telewide.origin import source_state
 from telewide.training.checkpoint import (
     STATE_NAME,
     BestWeights,
@@ -173,7 +175,9 @@ def _run_stage(
     for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
         losses = take_step(state, batch.to(training.device), stage, training=training)
         state.step += 1
-        reporter.step_done(stage, step=state.step, losses=losses, seconds=time.monotonic() - begun_s)
+        seconds = time.monotonic() - begun_s
+        state.trained_s += seconds
+        reporter.step_done(stage, step=state.step, losses=losses, seconds=seconds)
         if processes.is_any(is_stop_requested()):
             _save_underway(training, state, stage)
             raise KeyboardInterrupt
@@ -334,7 +338,7 @@ def _end_stage(
 ) -> None:
     """Keep the stage's result; go on, or stop boosting when it no longer helps."""
     result, step = _take_result(training, state, stage)
-    card = _card(training, stage, step=step, judgements=[result])
+    card = _card(training, state, stage, step=step, judgements=[result])
     if training.processes.is_writer and not stage.is_teaching_space:
         save_weights(state.average, training.folder / f"{stage.name}.safetensors", card=card)
     reporter.stage_finished(stage, network=state.average, judgement={DECISIVE: result})
@@ -377,7 +381,7 @@ def _save_best_beside(training: Training, state: TrainingState, stage: Stage, be
         return
     network = copy.deepcopy(state.average)
     network.load_state_dict(best.weights)
-    card = _card(training, stage, step=best.step, judgements=[best.judgement])
+    card = _card(training, state, stage, step=best.step, judgements=[best.judgement])
     save_weights(network, training.folder / best_name(stage), card=card)
 
 
@@ -404,16 +408,33 @@ def _save(training: Training, state: TrainingState, card: WeightsCard) -> None:
 
 
 def _save_underway(training: Training, state: TrainingState, stage: Stage) -> None:
-    _save(training, state, _card(training, stage, step=state.step, judgements=state.judgements[-1:]))
+    _save(training, state, _card(training, state, stage, step=state.step, judgements=state.judgements[-1:]))
 
 
-def _card(training: Training, stage: Stage, *, step: int, judgements: Sequence[float]) -> WeightsCard:
+def _card(
+    training: Training, state: TrainingState, stage: Stage, *, step: int, judgements: Sequence[float]
+) -> WeightsCard:
+    facts = {
+        "stage": stage.name,
+        "step": step,
+        DECISIVE: list(judgements),
+        "commit": source_state(),
+        "device": _devices(training),
+        "hours": round(state.trained_s / 3600, 4),
+    }
     return WeightsCard(
         network=training.network_name,
         window=training.window,
         recipe=training.recipe,
-        training={"stage": stage.name, "step": step, DECISIVE: list(judgements)},
+        training=facts,
     )
+
+
+def _devices(training: Training) -> str:
+    """Name what a training computes on, and how many of it."""
+    device, n_processes = training.device, training.processes.world
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else processor_name()
+    return name if n_processes == 1 else f"{n_processes} x {name}"
 
 
 def _section(stage: Stage) -> str:

@@ -34,8 +34,8 @@ class StageOptions(Options):
     learning_rate: Positive = 1e-3
     """Of Adam; warmed up over the first steps, falling to a tenth over the last quarter of the ceiling."""
     final_rate_share: Annotated[float, Field(ge=0, le=1)] | None = None
-    """Share of the learning rate that it falls to along a cosine, from the first step to the ceiling, instead of that fall
-    over the last quarter; null keeps that."""
+    """Share of the learning rate that a cosine over all steps of the ceiling ends at; null takes the fall over the last
+    quarter instead."""
     rehearsed: Count = 0
     """Crops a step of cast worlds, painted with the user's photos where there are any, with exact disparity."""
     captured: Count = 0

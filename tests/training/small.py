@@ -83,11 +83,13 @@ class Heard:
     messages: list[str] = field(default_factory=list)
     finished: list[str] = field(default_factory=list)
     after_step: Callable[[str, int], None] | None = None
+    seconds: float = 0.0
 
     def stage_started(self, stage: Stage, *, first_step: int) -> None: ...
 
     def step_done(self, stage: Stage, *, step: int, losses: Mapping[str, float], seconds: float) -> None:
         self.losses[stage.name, step] = dict(losses)
+        self.seconds += seconds
         if self.after_step is not None:
             self.after_step(stage.name, step)
 

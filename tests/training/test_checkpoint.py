@@ -44,6 +44,7 @@ def a_state() -> TrainingState:
     state.teacher = frozen_extractor(build_network("lite", seed=2))
     state.stage_index, state.step, state.best_stage = 2, 41, 1
     state.judgements, state.stage_judgements = [0.5, 0.25], [0.75, 0.5]
+    state.trained_s = 12.5
     return state
 
 
@@ -62,7 +63,7 @@ def test_a_state_comes_back_as_it_was(tmp_path: Path) -> None:
     state = a_state()
     save_state(state, tmp_path / "state.pt")
     back = load_state(tmp_path / "state.pt", network_name="lite", device=CPU)
-    for name in ("stage_index", "step", "judgements", "stage_judgements", "is_finished", "best_stage"):
+    for name in ("stage_index", "step", "judgements", "stage_judgements", "is_finished", "best_stage", "trained_s"):
         assert getattr(back, name) == getattr(state, name)
     assert back.teacher is not None
     assert state.teacher is not None
@@ -227,6 +228,7 @@ def test_a_state_has_a_place_in_its_plan(tmp_path: Path) -> None:
     [
         *[("stage_index", 77), ("stage_index", -1), ("stage_index", "2"), ("stage_index", True)],
         *[("step", 51), ("step", -1), ("step", 1.5), ("best_stage", 2), ("best_stage", None)],
+        *[("trained_s", -1.0), ("trained_s", float("nan")), ("trained_s", "long"), ("trained_s", True)],
         *[("judgements", 3), ("judgements", ["a"]), ("judgements", [0.5] * 60), ("stage_judgements", [0.5])],
         *[("optimiser", 3), ("optimiser", {"state": {0: 3}}), ("optimiser", {"state": {10**6: {}}})],
         *[("best", 3), ("best", {"step": 1, "judgement": 0.5, "weights": {}}), ("teacher", None), ("teacher", 3)],
@@ -333,6 +335,11 @@ def test_what_lies_beside_the_moments_is_not_walked_through(tmp_path: Path, save
     torch.save(content, tmp_path / "state.pt")
     state = load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN)
     assert all(set(kept) == {"step", "exp_avg", "exp_avg_sq"} for kept in state.optimiser.state.values())
+
+
+def test_a_state_of_a_version_that_kept_no_time_is_read(tmp_path: Path, saved: dict[str, object]) -> None:
+    torch.save({name: value for name, value in saved.items() if name != "trained_s"}, tmp_path / "state.pt")
+    assert load_state(tmp_path / "state.pt", network_name="lite", device=CPU, plan=PLAN).trained_s == 0
 
 
 @pytest.mark.parametrize("which", ["network", "average", "teacher"])

@@ -15,9 +15,11 @@ import torch
 from pydantic import ValidationError
 from training.small import CPU, CROP_HW, Heard, ScriptedJudge, stage_of, three_stages, training_in
 
+from telewide.cores import processor_name
 from telewide.errors import QualityError, UsageError
 from telewide.matching.inference import full_precision
 from telewide.matching.networks import NETWORKS, StereoNetwork, build_network
+from telewide.origin import source_state
 from telewide.training import loop
 from telewide.training.checkpoint import (
     STATE_NAME,
@@ -42,6 +44,7 @@ from telewide.training.options import WEIGHTS_NAME, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import SampleSource
 from telewide.training.stages import Stage, ending_with, plan_stages
+from telewide.training.weights_card import read_card
 
 
 def fresh() -> TrainingState:
@@ -93,6 +96,7 @@ def test_resumed_training_is_the_uninterrupted_one(
 
     assert pieces.losses == whole.losses
     assert pieces.judgements == whole.judgements
+    assert resumed.trained_s == pytest.approx(pieces.seconds)
     assert is_same(resumed.network, finished.network)
     assert is_same(resumed.average, finished.average)
     assert resumed.stage_judgements == finished.stage_judgements == [0.8, 0.6, 0.4]
@@ -274,7 +278,21 @@ def test_a_stage_results_in_the_weights_that_were_judged_best(tmp_path: Path, so
     assert is_same(result, at_step[2])
     assert not is_same(result, at_step[4])
     assert state.stage_judgements == [0.3]
-    assert card.training == {"stage": "photometric", "step": 2, "clipped_px": [0.3]}
+    assert card.training["stage"] == "photometric"
+    assert card.training["step"] == 2
+    assert card.training["clipped_px"] == [0.3]
+
+
+def test_a_result_says_by_which_source_on_what_and_how_long_it_was_made(tmp_path: Path, source: SampleSource) -> None:
+    state = fresh()
+    state.trained_s = 7200.0  # before a resumption
+    options = short(photometric={**PHOTOMETRIC, "steps": 2}, stages=0)
+    train(training_in(tmp_path, source, options=options), state, reporter=Heard())
+    made = read_card(tmp_path / WEIGHTS_NAME).training
+    assert made["commit"] == source_state()
+    assert made["device"] == processor_name()
+    assert made["hours"] == pytest.approx(state.trained_s / 3600, abs=1e-4)
+    assert made["hours"] >= 2
 
 
 def test_no_judgement_before_the_least_steps_counts(tmp_path: Path, source: SampleSource) -> None:

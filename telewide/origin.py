@@ -1,0 +1,42 @@
+"""The origin of a result: the state of the source that made it."""
+
+from __future__ import annotations
+
+import functools
+import os
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+_LONGEST_S = 10
+
+
+@functools.cache
+def source_state(*, root: Path = _PACKAGE.parent) -> str:
+    """Name the commit of a source tree, with ``-dirty`` where tracked files differ from it; else the version.
+
+    Args:
+        root: of the tree; a folder inside another tree is none.
+    """
+    return _commit(root) or f"version {metadata.version('telewide')}"
+
+
+def _commit(root: Path) -> str | None:
+    if not (root / ".git").exists():
+        return None
+    # A hook of git names its own repository to all it calls.
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    asked = ("git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    try:
+        done = subprocess.run(
+            asked,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=_LONGEST_S,
+            env={**environment, "GIT_OPTIONAL_LOCKS": "0"},
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None if done.returncode == 0 else None
