@@ -1,10 +1,10 @@
-"""Means over scenes and seeds, and a table of them in Markdown beside the published values."""
+"""Means over scenes and seeds, and tables of them in Markdown: of all pixels beside published ones, of visible ones."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from telewide.benchmark.paper.system import BEST
 from telewide.benchmark.paper.systems import SYSTEMS
 from telewide.benchmark.paper.tables import Column, Published, Table
 from telewide.benchmark.report import markdown_table, number
+from telewide.benchmark.scores import Region
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,12 @@ class Mean:
 
 @dataclass(frozen=True)
 class Block:
-    """The part of a table that is of one data set.
+    """The part of a table that is of one data set, or the ratios of two systems.
 
     Attributes:
-        data_set: its name.
+        data_set: its name, and which of its pixels; or the names of both systems.
         head: of the columns.
-        lines: as many cells each, the first the title of a system.
+        lines: as many cells each, the first the title of a system or the name of a data set.
     """
 
     data_set: str
@@ -54,11 +55,11 @@ Key = tuple[str, str, str]
 """Name of a system, of its weights, and heading of a column."""
 
 
-def mean_errors(rows: Sequence[Row]) -> dict[Key, Mean]:
-    """Average the rows of all pixels over scenes and seeds."""
+def mean_errors(rows: Sequence[Row], *, region: Region = "all") -> dict[Key, Mean]:
+    """Average the rows of a region over scenes and seeds."""
     values: dict[Key, list[Row]] = {}
     for row in rows:
-        if row["region"] == "all":
+        if row["region"] == region:
             values.setdefault((str(row["system"]), str(row["weights"]), str(row["column"])), []).append(row)
     return {
         key: Mean(
@@ -69,9 +70,23 @@ def mean_errors(rows: Sequence[Row]) -> dict[Key, Mean]:
 
 
 def paper_table(table: Table, rows: Sequence[Row]) -> str:
-    """Set rows in Markdown, data set by data set; see `table_blocks`."""
-    blocks = table_blocks(table, mean_errors(rows))
+    """Set rows in Markdown, data set by data set; see `paper_blocks`."""
+    blocks = paper_blocks(table, rows)
     return "\n\n".join(f"**{block.data_set}**\n\n{markdown_table(block.head, block.lines)}" for block in blocks)
+
+
+def paper_blocks(table: Table, rows: Sequence[Row]) -> list[Block]:
+    """Set rows in tables: of each data set all pixels, then those that both views see; last the ratios, if any."""
+    means = mean_errors(rows)
+    # Nothing is published of visible pixels alone.
+    unpublished, visible = replace(table, rows={}), mean_errors(rows, region="visible")
+    apart = {block.data_set: block for block in table_blocks(unpublished, visible)}
+    blocks = []
+    for block in table_blocks(table, means):
+        blocks.append(block)
+        if seen := apart.get(block.data_set):
+            blocks.append(replace(seen, data_set=f"{seen.data_set}, visible pixels"))
+    return [*blocks, *(ratio_blocks(table, means) if table.has_ratios else ())]
 
 
 def table_blocks(table: Table, means: Mapping[Key, Mean]) -> list[Block]:
@@ -108,6 +123,60 @@ def _block(table: Table, means: Mapping[Key, Mean], data_set: str) -> Block:
         lines.append((SYSTEMS[system].title, *line))
     names = [f"{column.damage} x{column.factor:g}{', best' if weights else ''}" for _, column, weights in columns]
     return Block(data_set, ("3PE % / EPE px", *names), tuple(lines))
+
+
+def ratio_blocks(table: Table, means: Mapping[Key, Mean]) -> list[Block]:
+    """Divide every system by the first: 3PE / EPE of each data set, and the mean over those that both have.
+
+    Args:
+        table: its first system is the measure.
+        means: of `mean_errors`; where a system has two kinds of weights, the last ones count.
+    """
+    systems = [system for system in table.rows if any(key[0] == system for key in means)]
+    sets = list(dict.fromkeys(column.data_set for column in table.columns))
+    shown = list(dict.fromkeys((column.damage, column.factor) for column in table.columns))
+    blocks = []
+    for system in systems[1:]:
+        ratios = {(c.data_set, c.damage, c.factor): _ratio(means, c, (systems[0], system)) for c in table.columns}
+        in_sets = [[ratios[data_set, *kind] for kind in shown] for data_set in sets]
+        over_sets = [_mean_ratio([ratios[data_set, *kind] for data_set in sets]) for kind in shown]
+        named = [(name, line) for name, line in zip(sets, in_sets, strict=True) if np.isfinite(line).any()]
+        lines = tuple((name, *map(_shown_ratio, line)) for name, line in [*named, ("mean", over_sets)])
+        titles = f"{SYSTEMS[system].title}, divided by {SYSTEMS[systems[0]].title}"
+        blocks.append(Block(titles, ("3PE / EPE", *(f"{damage} x{factor:g}" for damage, factor in shown)), lines))
+    return blocks
+
+
+Ratio = tuple[float, float]
+"""Of 3PE and of EPE; NaN where there is none."""
+
+
+def _ratio(means: Mapping[Key, Mean], column: Column, systems: tuple[str, str]) -> Ratio:
+    """Divide the errors of the second system by those of the first."""
+    first, second = (
+        next((mean for key, mean in means.items() if key[0] == system and _is_of(key, column, "")), None)
+        for system in systems
+    )
+    if first is None or second is None:
+        return math.nan, math.nan
+    return (
+        _part(second.off_3px_5percent, of=first.off_3px_5percent),
+        _part(second.end_point_error_px, of=first.end_point_error_px),
+    )
+
+
+def _part(value: float, *, of: float) -> float:
+    return value / of if of else math.nan
+
+
+def _mean_ratio(ratios: Sequence[Ratio]) -> Ratio:
+    by_kind = [[value for value in values if math.isfinite(value)] for values in zip(*ratios, strict=True)]
+    off, epe = (float(np.mean(values)) if values else math.nan for values in by_kind)
+    return off, epe
+
+
+def _shown_ratio(ratio: Ratio) -> str:
+    return f"{number(ratio[0], '.2f')} / {number(ratio[1], '.2f')}"
 
 
 def _is_of(key: Key, column: Column, weights: str) -> bool:

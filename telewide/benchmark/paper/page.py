@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from telewide.benchmark.paper.means import Key, Mean, mean_errors, table_blocks
+from telewide.benchmark.paper.means import Key, Mean, mean_errors, paper_blocks
 from telewide.benchmark.paper.pictures import Sheet
 from telewide.benchmark.paper.system import BEST
 from telewide.benchmark.paper.systems import SYSTEMS
@@ -27,7 +27,7 @@ _MOST_SHEETS = 40
 _SHEET_PX = 1400
 _SUMMARY = (
     "3PE in per cent / EPE in px, means over scenes and seeds: the last weights and, as columns of their own, those "
-    "best on validation; the published value stands in brackets."
+    "best on validation; the published value stands in brackets. Pixels that both views see stand apart, where known."
 )
 
 
@@ -51,7 +51,7 @@ def write_paper_page(path: Path, table: Table, report: BenchmarkReport, *, sheet
         "paper.html.j2",
         title=table.title,
         summary=_SUMMARY,
-        blocks=table_blocks(table, means),
+        blocks=paper_blocks(table, report.rows),
         plots=[*factor_plots(table, means), *stage_plots(table, means)],
         rows=[_shown(sheet, path.parent) for sheet in sheets[:_MOST_SHEETS]],
         notes=[*report.notes, *further],

@@ -76,6 +76,7 @@ class _Table(Options):
     data_sets: Annotated[tuple[str, ...], Field(min_length=1)]
     damages: Annotated[tuple[str, ...], Field(min_length=1)]
     factors: Annotated[tuple[float, ...], Field(min_length=1)]
+    has_ratios: bool = False
     rows: dict[str, str]
 
 
@@ -94,12 +95,14 @@ class Table:
         title: for people.
         columns: from left to right.
         rows: by the name of the system, the published values, as many as columns; None where there is none.
+        has_ratios: whether the other rows are also shown divided by the first.
     """
 
     name: str
     title: str
     columns: tuple[Column, ...]
     rows: dict[str, tuple[Published | None, ...]]
+    has_ratios: bool = False
 
 
 def load_tables(*, path: Path = TABLES_FILE) -> dict[str, Table]:
@@ -184,7 +187,7 @@ def _table(name: str, table: _Table, data_sets: dict[str, _DataSet], path: Path)
         for factor in table.factors
     )
     rows = {system: _values(text, len(columns), f"{path}: {name}, {system}") for system, text in table.rows.items()}
-    return Table(name, table.title, columns, rows)
+    return Table(name, table.title, columns, rows=rows, has_ratios=table.has_ratios)
 
 
 def _values(text: str, expected: int, source: str) -> tuple[Published | None, ...]:
