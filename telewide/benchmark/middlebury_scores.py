@@ -9,12 +9,20 @@ they come from the matcher and after :func:`telewide.depth.edges.follow_edges`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
 
-from telewide.benchmark.datasets.middlebury import write_middlebury_captures
+from telewide.benchmark.datasets.middlebury import read_middlebury_2006, write_middlebury_captures
 from telewide.benchmark.datasets.protocols import find_protocol
+from telewide.benchmark.reliability import (
+    Reliability,
+    count_reliability,
+    hidden_row,
+    reliability_rows,
+    reliability_tables,
+)
 from telewide.benchmark.report import BenchmarkReport, markdown_table, number
 from telewide.benchmark.scores import Score, score_pixels
 from telewide.capture.pair import RectifiedPair, find_captures, read_pair, read_truth
@@ -31,6 +39,7 @@ PUBLISHED = (
 """Chen et al., CVPR 2022, bicubic degradation; see the README for what differs."""
 PROTOCOL = "middlebury-2006-third"
 """Of `telewide.benchmark.datasets.protocols`: splits, window and left-out columns."""
+SCALE_DENOMINATOR = 3
 Row = Mapping[str, object]
 MEAN = "mean"
 
@@ -68,7 +77,8 @@ def benchmark_middlebury(
         tell: hears how far it is.
 
     Returns:
-        A row for each matcher, with and without followed edges, and scene; then the mean over the scenes.
+        A row for each matcher, with and without followed edges, and scene; then the mean over the scenes. Further rows
+        tell how reliable confidence is, and what is called hidden.
 
     Raises:
         UsageError: a scene that is not there.
@@ -76,13 +86,15 @@ def benchmark_middlebury(
     """
     protocol = find_protocol(PROTOCOL)
     window, left_out_columns = protocol.window_px or (0, 0), protocol.left_out_columns
-    write_middlebury_captures(data_root, captures, scenes=scenes, factor=factor)
+    write_middlebury_captures(data_root, captures, scenes=scenes, factor=factor, scale_denominator=SCALE_DENOMINATOR)
     found = {capture.name: capture for capture in find_captures(captures).captures}
     rows: list[Row] = []
+    reliability: dict[str, list[Reliability]] = {}
     for scene in scenes:
         pair, truth_px = read_pair(found[scene]), read_truth(found[scene])
         if truth_px is None:
             raise InputError(f"{captures / scene} was written and has no truth")
+        occluded = read_middlebury_2006(data_root / scene, scale_denominator=SCALE_DENOMINATOR).occluded
         for contender in contenders:
             tell(f"{scene}: {contender.name}")
             disparity = contender.match(pair.tele, pair.wide, window=window)
@@ -90,12 +102,27 @@ def benchmark_middlebury(
                 score = score_map(estimate_px, truth_px, left_out_columns=left_out_columns)
                 errors = (score.off_3px_5percent, score.end_point_error_px)
                 rows.append(_row(contender.name, scene, errors, follows=follows))
+            counted = count_reliability(disparity, truth_px, occluded=occluded, left_out_columns=left_out_columns)
+            reliability.setdefault(contender.name, []).append(counted)
     options = {"scenes": list(scenes), "factor": factor, "window": window, "skipped_columns": left_out_columns}
-    return BenchmarkReport("middlebury", options, tuple(_with_means(rows)), notes=(PUBLISHED,))
+    judged = tuple(_with_means(rows))
+    return BenchmarkReport("middlebury", options, judged, notes=(PUBLISHED,), further=_further(reliability))
+
+
+def _further(reliability: Mapping[str, Sequence[Reliability]]) -> dict[str, tuple[Row, ...]]:
+    """Rows of the scenes of each matcher together."""
+    counts = {name: reduce(Reliability.__add__, of_scenes) for name, of_scenes in reliability.items()}
+    return {
+        "reliability": tuple(row for name, counted in counts.items() for row in reliability_rows(name, counted)),
+        "hidden": tuple(hidden_row(name, counted) for name, counted in counts.items()),
+    }
 
 
 def middlebury_table(report: BenchmarkReport) -> str:
-    """Set a report in Markdown: 3PE in per cent / EPE in px; a line for each matcher, with and without edges."""
+    """Set a report in Markdown: 3PE in per cent / EPE in px; a line for each matcher, with and without edges.
+
+    Below are the tables of `reliability_tables`, of the maps as matched.
+    """
     scenes = list(dict.fromkeys(str(row["scene"]) for row in report.rows))
     cells = {(row["matcher"], row["follow_edges"], row["scene"]): _cell(row) for row in report.rows}
     keys = dict.fromkeys((row["matcher"], row["follow_edges"]) for row in report.rows)
@@ -103,7 +130,8 @@ def middlebury_table(report: BenchmarkReport) -> str:
         [f"{name}, edges followed" if follows else str(name), *(cells[name, follows, scene] for scene in scenes)]
         for name, follows in keys
     ]
-    return markdown_table(["3PE % / EPE px", *scenes], lines)
+    errors = markdown_table(["3PE % / EPE px", *scenes], lines)
+    return f"{errors}\n\n{reliability_tables(report.further['reliability'], report.further['hidden'])}"
 
 
 def _followed(disparity: DisparityMap, pair: RectifiedPair) -> FloatMap:

@@ -28,6 +28,7 @@ class BenchmarkReport:
         rows: one a line of the table or finer; NaN and None where a number does not exist.
         notes: what a reader must know.
         machine: see :func:`describe_machine`.
+        further: rows of other tables of the same run, by their names.
     """
 
     benchmark: str
@@ -35,6 +36,7 @@ class BenchmarkReport:
     rows: tuple[Mapping[str, object], ...]
     notes: tuple[str, ...] = ()
     machine: Mapping[str, object] = field(default_factory=lambda: describe_machine())
+    further: Mapping[str, tuple[Mapping[str, object], ...]] = field(default_factory=dict)
 
 
 def describe_machine() -> dict[str, object]:
@@ -68,6 +70,7 @@ def write_report_json(report: BenchmarkReport, path: Path) -> None:
         "options": report.options,
         "rows": report.rows,
         "notes": report.notes,
+        **({"further": report.further} if report.further else {}),
     }
     write_text(path, json_text(content, indent=2) + "\n")
 

@@ -94,10 +94,25 @@ def test_rows_follow_the_protocol(scenes_root: Path) -> None:
 
 
 def test_the_table_has_a_line_for_each_matcher_and_kind(scenes_root: Path) -> None:
-    table = middlebury_table(measured(scenes_root, constant("a", 1), constant("b", 2))).splitlines()
+    shown = middlebury_table(measured(scenes_root, constant("a", 1), constant("b", 2)))
+    table = shown.split("\n\n")[0].splitlines()
     firsts = [line.split("|")[1].strip() for line in table[2:]]
     assert firsts == ["a", "a, edges followed", "b", "b, edges followed"]
     assert [cell.strip() for cell in table[0].split("|")[2:-1]] == ["One", "Two", "mean"]
+
+
+def test_confidence_and_hidden_pixels_of_all_scenes_are_judged_together(scenes_root: Path) -> None:
+    for scene in ("One", "Two"):
+        other = np.full((*HW, 3), 3 * DISPARITY_PX / 255, np.float32)
+        other[HW[0] // 2 :, 80:90] = 0  # so that the other view does not see columns 89 to 98 of the lower half
+        write_image(scenes_root / scene / "disp5.png", other)
+    report = measured(scenes_root, constant("perfect", DISPARITY_PX), constant("off", DISPARITY_PX + 4))
+    sure = [row for row in report.further["reliability"] if row["share"]]
+    assert [(row["matcher"], row["from"], row["right_1px"]) for row in sure] == [("perfect", 0.9, 1), ("off", 0.9, 0)]
+    assert [row["recall"] for row in report.further["hidden"]] == [0, 0], "they call nothing hidden"
+    shown = middlebury_table(report)
+    assert "confidence of perfect" in shown
+    assert "called hidden" in shown
 
 
 def test_semiglobal_matching_sees_the_pairs_the_right_way_round(scenes_root: Path) -> None:
