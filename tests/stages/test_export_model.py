@@ -158,6 +158,14 @@ def test_a_model_of_any_size_computes_what_torch_does(name: str, window: Window,
 
 @needs_onnx
 @pytest.mark.slow
+def test_a_model_of_the_network_in_the_box_computes_what_torch_does(tmp_path: Path) -> None:
+    done = stage.export_model(BOX_WEIGHTS, tmp_path / "m.onnx", window=(0, 32), tell=lambda text: None)
+    assert len({comparison.hw for comparison in done.comparisons}) == 2
+    assert max(comparison.differing for comparison in done.comparisons) < 0.01
+
+
+@needs_onnx
+@pytest.mark.slow
 def test_the_documented_example_runs(repo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = weights_of("lite", tmp_path)

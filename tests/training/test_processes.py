@@ -19,6 +19,7 @@ from telewide.files import fingerprint
 from telewide.matching.networks import NETWORKS
 from telewide.simulate.captures import write_captures
 from telewide.training.checkpoint import new_state
+from telewide.training.log import read_log
 from telewide.training.processes import Processes, joined_processes
 from telewide.training.samples import SampleSource, labels_path
 
@@ -176,6 +177,23 @@ def test_the_report_of_several_processes_shows_all_captures(tmp_path: Path, repo
     page = (tmp_path / str(answer["report"])).read_text()
     for name in ("000", "001", "002"):
         assert f"depth/{name}/preview.png" in page
+
+
+def test_worlds_are_shared_among_processes(tmp_path: Path, repo: Path) -> None:
+    """Half of the crops each, and the losses of one process that takes all."""
+    settings = ("network=lite", "train.crop_hw=[64, 96]", "train.rehearsal.rehearsed=2", "train.rehearsal.steps=10")
+    words = ("-m", "telewide", "train", "--recipe", "box", "--device", "cpu", "--json")
+    words += tuple(word for setting in settings for word in ("--set", setting))
+    losses = []
+    for out, processes in (("shared", 2), ("alone", 1)):
+        answer = answer_of(torchrun(*words, "--out", out, cwd=tmp_path, repo=repo, processes=processes))
+        assert answer["is_new"]
+        assert (tmp_path / str(answer["weights"])).is_file()
+        lines = read_log(tmp_path / out / "train" / "log.jsonl")
+        losses.append([line.losses for line in lines if line.losses])
+    shared, alone = losses
+    assert len(shared) == len(alone) == 1, "one process writes"
+    assert shared[0] == pytest.approx(alone[0], rel=1e-2)
 
 
 SLOW_WRITER = """
