@@ -25,18 +25,18 @@ def source_state(*, root: Path = _PACKAGE.parent) -> str:
 def _commit(root: Path) -> str | None:
     if not (root / ".git").exists():
         return None
+    commit, changes = _git(root, "rev-parse", "HEAD"), _git(root, "status", "-s", "-uno")
+    return f"{commit}-dirty" if commit and changes else commit
+
+
+def _git(root: Path, *words: str) -> str | None:
+    """Ask git about a tree; None where it cannot say."""
     # A hook of git names its own repository to all it calls.
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
-    asked = ("git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+    environment["GIT_OPTIONAL_LOCKS"] = "0"
+    command = ["git", "-C", str(root), *words]
     try:
-        done = subprocess.run(
-            asked,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=_LONGEST_S,
-            env={**environment, "GIT_OPTIONAL_LOCKS": "0"},
-        )
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_LONGEST_S, env=environment)
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return done.stdout.strip() or None if done.returncode == 0 else None
+    return done.stdout.strip() if done.returncode == 0 else None
