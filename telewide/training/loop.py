@@ -420,8 +420,9 @@ def _card(
         DECISIVE: list(judgements),
         "commit": source_state(),
         "device": _devices(training),
-        "hours": round(state.trained_s / 3600, 4),
     }
+    if training.options.worlds:  # equal trainings on own photos are equal files
+        facts["hours"] = round(state.trained_s / 3600, 4)
     return WeightsCard(
         network=training.network_name,
         window=training.window,

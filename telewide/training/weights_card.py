@@ -29,7 +29,8 @@ class WeightsCard:
         network: name of the network.
         window: disparities it was trained for, px.
         recipe: resolved recipe, as plain data.
-        training: stage, step and judgement the weights come from; commit of the source, device and hours of the steps.
+        training: stage, step and judgement the weights come from; commit of the source, device, and
+            hours of the steps where it saw worlds alone.
     """
 
     network: str
