@@ -90,7 +90,7 @@ def test_a_changed_system_makes_its_own_cells_anew(
     both = options(data, systems=("known", "other"), damages=("bic",))
     benchmark_table(TABLE, both, tell=lambda _: None)
     assert len(asked) == 2
-    monkeypatch.setitem(SYSTEMS, "other", replace(other, sources=("metrics", "srgb")))
+    monkeypatch.setitem(SYSTEMS, "other", replace(other, sources=("metrics", "matching.semiglobal")))
     benchmark_table(TABLE, both, tell=lambda _: None)
     assert len(asked) == 3
 
