@@ -109,6 +109,11 @@ def device_type(device_name: str) -> str:
     return choose_device(device_name).type
 
 
+def device_facts(device_name: str) -> dict[str, object]:
+    """State what the networks compute on, by the name of the device."""
+    return describe_device(choose_device(device_name))
+
+
 def describe_device(device: torch.device) -> dict[str, object]:
     """State what the networks compute on."""
     facts: dict[str, object] = {"device": device.type, "threads": torch.get_num_threads()}
