@@ -7,6 +7,7 @@ Systems that begin alike share what they have in common, and a training that is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -277,8 +278,10 @@ class _Told:
         """Steps are too many to tell."""
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        figures = f"{100 * judgement['off_3px']:.1f} % off by more than 3 px on validation"
-        self.place.tell(f"{stage.name}: step {step}, {figures}")
+        off, figures = judgement["off_3px"], ""
+        if math.isfinite(off):  # a task may have no scene to judge by
+            figures = f", {100 * off:.1f} % off by more than 3 px on validation"
+        self.place.tell(f"{stage.name}: step {step}{figures}")
 
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
         """Told by whoever asked."""

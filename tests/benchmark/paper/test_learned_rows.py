@@ -134,8 +134,11 @@ def test_a_training_cut_off_ends_as_one_that_was_not(data: Path, tmp_path: Path)
 
 def test_minutes_become_steps_that_stay(data: Path, tmp_path: Path) -> None:
     task = replace(task_of(data, steps=1), budget=Budget(0.02), validation=())
-    prepared = small_row("train.stages=0").prepare(task, Told().place(tmp_path))
+    told = Told()
+    prepared = small_row("train.stages=0").prepare(task, told.place(tmp_path))
     assert list(prepared.matchers) == ["last"], "nothing judges which weights are best"
+    assert any("photometric: step" in line for line in told.lines)
+    assert [line for line in told.lines if "nan" in line] == []
     record = read_record(next((tmp_path / "trainings").glob("*/stage.json")), StageRecord)
     assert record.steps == prepared.steps
     assert 1 <= record.steps < 200

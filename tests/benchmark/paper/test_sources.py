@@ -23,8 +23,8 @@ from telewide.benchmark.paper.sources import (
     PACKAGE,
     TABLES,
     YET_COUNTED,
-    is_counted,
     find_modules,
+    is_counted,
     source_fingerprint,
     training_entries,
 )
