@@ -20,6 +20,7 @@ WEIGHTS_NAME = "weights.safetensors"
 
 CapturedLoss = Literal["photometric", "feature", "labels", "supervised"]
 SpaceName = Literal["own", "contrastive", "auto-encoder"]
+BatchStatistics = Literal["own", "kept"]
 Keeps = Literal["best", "last"]
 
 
@@ -33,6 +34,10 @@ class StageOptions(Options):
     last."""
     learning_rate: Positive = 1e-3
     """Of Adam; warmed up over the first steps, falling to a tenth over the last quarter of the ceiling."""
+    gradient_norm: Positive | None = 1.0
+    """Longest gradient of a step; a longer one is shortened to it. null leaves all as they are, as published."""
+    batch_statistics: BatchStatistics = "own"
+    """Mean and variance by which batch normalisation scales: each batch's own, or those the stage begins with, kept."""
     rehearsed: Count = 0
     """Crops a step of cast worlds, painted with the user's photos where there are any, with exact disparity."""
     captured: Count = 0
