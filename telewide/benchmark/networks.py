@@ -104,6 +104,16 @@ def synchroniser(device: torch.device) -> Callable[[], None]:
     return lambda: None
 
 
+def device_type(device_name: str) -> str:
+    """Type of the device that a name stands for: cpu or cuda."""
+    return choose_device(device_name).type
+
+
+def device_facts(device_name: str) -> dict[str, object]:
+    """State what the networks compute on, by the name of the device."""
+    return describe_device(choose_device(device_name))
+
+
 def describe_device(device: torch.device) -> dict[str, object]:
     """State what the networks compute on."""
     facts: dict[str, object] = {"device": device.type, "threads": torch.get_num_threads()}

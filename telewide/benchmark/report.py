@@ -12,7 +12,7 @@ from pathlib import Path
 
 from telewide.cores import processor_name, usable_cores
 from telewide.files import write_text
-from telewide.text import json_text
+from telewide.text import counted, json_text
 
 FORMAT = 1
 _PACKAGES = ("telewide", "numpy", "opencv-contrib-python-headless", "scipy", "torch")
@@ -54,6 +54,25 @@ def describe_machine() -> dict[str, object]:
 def library_versions() -> dict[str, str | None]:
     """State the versions of what computes; None for what is not installed."""
     return {name: _version(name) for name in _PACKAGES}
+
+
+def machine_facts(machine: Mapping[str, object]) -> dict[str, object]:
+    """Pick what a table is read by: processor, GPU where there is one, cores, torch and telewide.
+
+    Args:
+        machine: of :func:`describe_machine`, with ``gpu`` where networks computed on one.
+    """
+    versions = machine["versions"]
+    named = {name: versions.get(name) for name in ("torch", "telewide")} if isinstance(versions, Mapping) else {}
+    return {"processor": machine["processor"], "gpu": machine.get("gpu"), "cores": machine["cores"], **named}
+
+
+def machine_line(machine: Mapping[str, object]) -> str:
+    """State the facts of :func:`machine_facts` in one line."""
+    facts = machine_facts(machine)
+    computes = "; ".join(str(facts[name]) for name in ("processor", "gpu") if facts[name])
+    versions = [f"{name} {facts[name] or 'not installed'}" for name in ("torch", "telewide")]
+    return ", ".join([computes, counted(int(str(facts["cores"])), "core"), *versions])
 
 
 def write_report_json(report: BenchmarkReport, path: Path) -> None:

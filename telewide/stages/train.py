@@ -21,11 +21,11 @@ import torch
 
 from telewide.assets import BOX_WEIGHTS
 from telewide.capture.exif import read_photo_facts
-from telewide.capture.pair import Capture, PairReader, read_pair
+from telewide.capture.pair import Capture, PairReader
 from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.files import changing, is_file, is_folder
-from telewide.matching.inference import choose_device, enlarged_size, match_with_network
+from telewide.matching.inference import choose_device, match_with_network
 from telewide.matching.networks import StereoNetwork
 from telewide.pages.contact import ContactRow
 from telewide.points.held_out import HeldOut
@@ -48,6 +48,7 @@ from telewide.training.checkpoint import (
     new_state,
     save_state,
 )
+from telewide.training.data import enlargement_of
 from telewide.training.judge import JUDGE_SEED, Judge, crops_judge, joined_judge, judge_stage, network_judge
 from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
@@ -289,13 +290,6 @@ def _worlds_judge(recipe: Recipe) -> Judge:
     """Ask worlds that owe nothing to the captures: it stays the same when captures come or go."""
     source = WorldSource(seed=recipe.seed + JUDGE_SEED, crop_hw=recipe.train.crop_hw)
     return crops_judge(WorldBatches(source, judge_stage(steps=JUDGED_STEPS)), window=source.window_px)
-
-
-def enlargement_of(seen: Sequence[Capture], network: StereoNetwork) -> float:
-    """Width at which a network will match captures, in their own; the first stands for all."""
-    pair = read_pair(seen[0])
-    _, width = enlarged_size(pair.tele, pair.wide, network=network)
-    return float(width / pair.tele.shape[1])
 
 
 def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe, *, enlargement: float) -> tuple[int, int]:

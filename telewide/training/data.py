@@ -15,9 +15,12 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
+from telewide.capture.pair import Capture, read_pair
 from telewide.errors import MissingPartError, UsageError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import ValidMasks
+from telewide.matching.inference import enlarged_size
+from telewide.matching.networks import StereoNetwork
 from telewide.training.objective import Batch
 from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
 from telewide.training.stages import Stage
@@ -195,3 +198,15 @@ def _stack_masks(samples: Sequence[Sample]) -> tuple[torch.Tensor, torch.Tensor]
 
 def _stack_images(images: Sequence[NDArray[np.float32]]) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(np.stack(images).transpose(0, 3, 1, 2)))
+
+
+def enlargement_of(seen: Sequence[Capture], network: StereoNetwork) -> float:
+    """Width at which a network will match captures, in their own; the first stands for all.
+
+    Args:
+        seen: the captures.
+        network: that will match them.
+    """
+    pair = read_pair(seen[0])
+    _, width = enlarged_size(pair.tele, pair.wide, network=network)
+    return float(width / pair.tele.shape[1])

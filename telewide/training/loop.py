@@ -21,6 +21,7 @@ from torch import Tensor
 
 from telewide.cores import processor_name
 from telewide.errors import QualityError, UsageError
+from telewide.matching.batch_norm import BatchNorm2d, BatchNorm3d
 from telewide.matching.inference import full_precision, low_precision
 from telewide.matching.networks import StereoNetwork, prepare_view
 from telewide.matching.window import VOLUME_STEP_PX, Window
@@ -50,7 +51,6 @@ CHECKPOINT_EVERY_S = 20.0
 WARM_UP_STEPS = 50
 COOL_DOWN_SHARE = 0.25
 LAST_LEARNING_RATE = 0.1
-MAX_GRADIENT_NORM = 1.0
 NARROW_WINDOW_PLANES = 8
 LEAST_GAIN_PX = 0.002
 """A judgement is better when the mean clipped error falls by this much."""
@@ -170,7 +170,7 @@ def _run_stage(
     if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
         return  # stopped by hand just before it was asked
     saved_s = time.monotonic()
-    learner_of(state, stage).train()
+    set_learning(state, stage)
     begun_s = time.monotonic()
     for batch in iterate_batches(dataset, first_step=state.step, workers=training.workers):
         losses = take_step(state, batch.to(training.device), stage, training=training)
@@ -184,12 +184,26 @@ def _run_stage(
         if _is_judgement_due(training, state, stage):
             if _is_converged(training, state, stage, reporter):
                 break
-            state.network.train()
+            set_learning(state, stage)
         # After the judgement, which would otherwise be missing from the checkpoint of its own step.
         if time.monotonic() - saved_s > CHECKPOINT_EVERY_S:
             _save_underway(training, state, stage)
             saved_s = time.monotonic()
         begun_s = time.monotonic()  # the next step's time holds its wait for the batch
+
+
+def set_learning(state: TrainingState, stage: Stage) -> None:
+    """Put what a stage teaches into training mode, its batch normalisation as the stage asks for.
+
+    Args:
+        state: changed in place.
+        stage: whose steps follow.
+    """
+    learner = learner_of(state, stage).train()
+    if stage.options.batch_statistics == "kept":
+        for layer in learner.modules():
+            if isinstance(layer, BatchNorm2d | BatchNorm3d):
+                layer.eval()
 
 
 def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Training) -> dict[str, float]:
@@ -217,7 +231,7 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
     torch.autograd.backward(loss)
     learner = learner_of(state, stage)
     training.processes.sum_gradients(learner)
-    norm = torch.nn.utils.clip_grad_norm_(learner.parameters(), MAX_GRADIENT_NORM)
+    norm = torch.nn.utils.clip_grad_norm_(learner.parameters(), stage.options.gradient_norm or math.inf)
     if not math.isfinite(float(norm)):
         raise _diverged("gradient", stage, state)
     state.optimiser.step()

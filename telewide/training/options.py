@@ -20,6 +20,7 @@ WEIGHTS_NAME = "weights.safetensors"
 
 CapturedLoss = Literal["photometric", "feature", "labels", "supervised"]
 SpaceName = Literal["own", "contrastive", "auto-encoder"]
+BatchStatistics = Literal["own", "kept"]
 Keeps = Literal["best", "last"]
 
 
@@ -36,6 +37,10 @@ class StageOptions(Options):
     final_rate_share: Annotated[float, Field(ge=0, le=1)] | None = None
     """Share of the learning rate that a cosine over all steps of the ceiling ends at; null takes the fall over the last
     quarter instead."""
+    gradient_norm: Positive | None = 1.0
+    """Longest gradient of a step; a longer one is shortened to it. null leaves all as they are, as published."""
+    batch_statistics: BatchStatistics = "own"
+    """Mean and variance by which batch normalisation scales: each batch's own, or those the stage begins with, kept."""
     rehearsed: Count = 0
     """Crops a step of cast worlds, painted with the user's photos where there are any, with exact disparity."""
     captured: Count = 0

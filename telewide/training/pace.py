@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import torch
 
-from telewide.training.checkpoint import TrainingState, learner_of
+from telewide.training.checkpoint import TrainingState
 from telewide.training.data import iterate_batches, step_batches
-from telewide.training.loop import Training, begin_stage, take_step
+from telewide.training.loop import Training, begin_stage, set_learning, take_step
 from telewide.training.stages import Stage
 
 _WARM_UP_STEPS, _TIMED_STEPS = 1, 3
@@ -31,7 +31,7 @@ def seconds_a_step(training: Training, state: TrainingState, stage: Stage) -> fl
     """
     trial = copy.deepcopy(state)
     begin_stage(trial, stage, seed=training.seed)
-    learner_of(trial, stage).train()
+    set_learning(trial, stage)
     longer = replace(stage, options=stage.options.model_copy(update={"steps": _WARM_UP_STEPS + _TIMED_STEPS}))
     processes = training.processes
     dataset = step_batches(training.source, longer, seed=training.seed, rank=processes.rank, world=processes.world)

@@ -34,7 +34,7 @@ EXPECTED = {
     "method": ("psmnet-s", None, 4, "photometric", (False, False), "own"),
     **{
         f"method-k1-{change}": ("psmnet-s", None, 2, "photometric", (False, False), "own")
-        for change in ("rate", "raw", "smooth", "batch", "large")
+        for change in ("rate", "raw", "smooth", "batch", "large", "frozen-norm", "unclipped")
     },
     "basenet-su": ("psmnet-s", None, 1, "supervised", (False, False), "own"),
     "basenet-iresnet": ("iresnet-s", None, 1, "photometric", (False, False), "own"),
@@ -59,6 +59,14 @@ def test_every_system_is_what_the_paper_says() -> None:
         assert recipe.network in NETWORKS
         assert system.restorer in {None, *RESTORERS}
     assert found == EXPECTED
+
+
+def test_rows_of_the_published_rate_make_one_change_each() -> None:
+    systems = read_learned_systems()
+    rate = systems["method-k1-rate"].resolved().train.feature.model_dump()
+    changes = {"frozen-norm": {"batch_statistics": "kept"}, "unclipped": {"gradient_norm": None}}
+    for name, change in changes.items():
+        assert systems[f"method-k1-{name}"].resolved().train.feature.model_dump() == {**rate, **change}
 
 
 class _OneLayer(torch.nn.Module):

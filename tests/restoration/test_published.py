@@ -69,7 +69,7 @@ def test_names_and_shapes_of_rcan_are_the_published_ones(factor: int) -> None:
         assert sum(p.numel() for p in network.parameters()) == 15_592_379
 
 
-@pytest.mark.parametrize(("factor", "steps"), [(2, [2]), (3, [3]), (4, [2, 2])])
+@pytest.mark.parametrize(("factor", "steps"), [(2, [2]), (3, [3]), (4, [2, 2]), (8, [2, 2, 2])])
 def test_outputs_of_rcan_are_those_of_its_layers(factor: int, steps: list[int]) -> None:
     network = Rcan(factor, groups=2, blocks=2)
     stir(network)
@@ -134,7 +134,7 @@ def test_names_and_shapes_of_dan_are_the_published_ones(factor: int) -> None:
     assert shapes_of(Dan(factor, COMPONENTS)) == dan_shapes(factor)
 
 
-@pytest.mark.parametrize("factor", [3, 4])
+@pytest.mark.parametrize("factor", [2, 3, 4])
 def test_outputs_of_dan_are_those_of_its_layers(factor: int) -> None:
     network = Dan(factor, COMPONENTS, blocks=2)
     stir(network)

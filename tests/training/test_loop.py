@@ -6,7 +6,7 @@ import contextlib
 import copy
 import signal
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -36,6 +36,7 @@ from telewide.training.loop import (
     WARM_UP_STEPS,
     go_on,
     learning_rate,
+    set_learning,
     take_step,
     train,
 )
@@ -529,6 +530,19 @@ def test_no_gradient_is_longer_than_one(tmp_path: Path, source: SampleSource) ->
     assert float(gradient.norm()) == pytest.approx(1.0, rel=1e-3)
 
 
+def test_without_a_norm_a_gradient_is_as_long_as_the_loss_is_loud(tmp_path: Path, source: SampleSource) -> None:
+    lengths = []
+    for weight in (1e2, 1e3):
+        state, training = fresh(), training_in(tmp_path, source)
+        options = {"captured_loss": "photometric", "captured_weight": weight, "smoothness": 0.0, "gradient_norm": None}
+        stage = stage_of(steps=1000, captured=1, **options)
+        take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training)
+        gradient = torch.cat([p.grad.flatten() for p in state.network.parameters() if p.grad is not None])
+        lengths.append(float(gradient.norm()))
+    assert lengths[0] > 1
+    assert lengths[1] == pytest.approx(10 * lengths[0], rel=0.02)
+
+
 def test_the_average_follows_the_weights(tmp_path: Path, source: SampleSource) -> None:
     stage = stage_of(steps=30, rehearsed=1)
     state = fresh()
@@ -574,6 +588,33 @@ def test_running_statistics_of_psmnet_are_part_of_the_result(tmp_path: Path, sou
         assert torch.equal(result.get_buffer(name), buffer), name
     weights = [name for name, p in state.network.named_parameters() if not torch.equal(p, result.get_parameter(name))]
     assert weights, "the weights themselves are an average"
+
+
+def test_a_stage_may_keep_the_statistics_it_begins_with(tmp_path: Path, source: SampleSource) -> None:
+    """Its steps answer as the judge is answered, and no batch moves a buffer, after a judgement neither."""
+    options = short(
+        photometric={**PHOTOMETRIC, "steps": 2, "learning_rate": 1e-2},
+        feature={"steps": 3, "captured": 1, "captured_loss": "feature", "batch_statistics": "kept"},
+        stages=1,
+        keeps="last",
+        judge_every_steps=1,
+    )
+    state = new_state("psmnet-s", seed=1, device=CPU)
+    training = training_in(tmp_path, source, options=options, network="psmnet-s")
+    train(training, state, reporter=Heard())
+    before, _ = load_weights(tmp_path / "photometric.safetensors", device=CPU)
+    after, _ = load_weights(tmp_path / "feature-1.safetensors", device=CPU)
+    assert not is_same(before, after)
+    for name, buffer in before.named_buffers():
+        assert torch.equal(after.get_buffer(name), buffer), name
+    stage = plan_stages(options)[1]
+    set_learning(state, stage)
+    view = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        learning = state.network.features(view)[0]
+        assert torch.equal(learning, state.network.eval().features(view)[0])
+        set_learning(state, replace(stage, options=stage.options.model_copy(update={"batch_statistics": "own"})))
+        assert not torch.equal(learning, state.network.features(view)[0])
 
 
 def test_psmnet_learns_by_every_step(tmp_path: Path, source: SampleSource) -> None:

@@ -24,6 +24,7 @@ from telewide.benchmark.damages import Damages, find_damage
 from telewide.benchmark.datasets.protocols import Scene, find_protocol, search_window, select_scenes
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.paper.pictures import keep_map
+from telewide.benchmark.paper.sources import source_fingerprint
 from telewide.benchmark.paper.system import (
     Budget,
     Place,
@@ -31,7 +32,6 @@ from telewide.benchmark.paper.system import (
     Task,
     Tell,
     content_fingerprint,
-    source_fingerprint,
     weights_fingerprints,
 )
 from telewide.benchmark.paper.tables import Column
@@ -50,10 +50,8 @@ FORMAT = 1
 CELL_FILE = "cell.json"
 _TEST, _TRAINING, _VALIDATION = "test", "training", "validation"
 _EVERY = 8
-_MEASURING = (
-    *("benchmark.scores", "benchmark.boundaries", "benchmark.bokeh_quality", "benchmark.paper.cells", "metrics"),
-    *("benchmark.damages", "simulate.degrade", "bokeh.render", "bokeh.lens"),
-)
+MEASURING = ("benchmark.paper.cells", "benchmark.datasets.protocols", "benchmark.datasets.truth")
+"""Where scores are computed: the window of a scene that states none is read from its truth."""
 Row = Mapping[str, object]
 
 
@@ -125,7 +123,7 @@ class Cells:
         key: dict[str, object] = {
             "format": FORMAT,
             "system": plan.system.name,
-            "sources": source_fingerprint([*plan.system.sources, *_MEASURING]),
+            "sources": source_fingerprint([*plan.system.sources, *MEASURING]),
             "files": [fingerprint(path) for path in plan.system.files],
             "facts": dict(plan.system.facts),
             "versions": library_versions(),
@@ -334,9 +332,9 @@ def _first_there(names: Sequence[str], data_root: Path, split: str) -> tuple[str
 
 
 def _device_type(device: Device) -> str:
-    from telewide.matching.inference import choose_device
+    from telewide.benchmark.networks import device_type
 
-    return choose_device(device).type
+    return device_type(device)
 
 
 def _kept(path: Path, key: Mapping[str, object]) -> list[Row] | None:

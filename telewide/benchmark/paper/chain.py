@@ -7,6 +7,7 @@ Systems that begin alike share what they have in common, and a training that is 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +17,16 @@ from pydantic import JsonValue
 
 from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.paper.pairs import TrainingPairs, digest_of
-from telewide.benchmark.paper.system import Place, Task, source_fingerprint
+from telewide.benchmark.paper.sources import source_fingerprint, training_entries
+from telewide.benchmark.paper.system import Place, Task
 from telewide.files import fingerprint, is_file
 from telewide.folders import alone_in
 from telewide.matching.networks import StereoNetwork, build_network
 from telewide.recipe import Recipe
 from telewide.records import Record, read_record, write_record
-from telewide.stages.train import enlargement_of, workers_for
+from telewide.stages.train import workers_for
 from telewide.training.checkpoint import STATE_NAME, TrainingState, load_state, new_state
+from telewide.training.data import enlargement_of
 from telewide.training.judge import Judge
 from telewide.training.loop import Training, go_on
 from telewide.training.loop import train as run_training
@@ -59,7 +62,6 @@ class Chain:
         judge: asks the validation scenes.
         judge_facts: all that its answers depend on besides the network.
         asymmetry: range of the factor by which rehearsed views lose resolution.
-        sources: modules of telewide that decide the result.
     """
 
     recipe: Recipe
@@ -70,7 +72,6 @@ class Chain:
     judge: Judge
     judge_facts: JsonValue
     asymmetry: tuple[float, float]
-    sources: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -150,10 +151,15 @@ def _trained(
 
 
 def _facts(chain: Chain, stages: Sequence[Stage], device: torch.device) -> dict[str, JsonValue]:
+    """All that the last of some stages depends on, and nothing that only later ones do."""
     options, last = chain.recipe.train, stages[-1]
     lengths = {"steps", "least_steps", "judge_every_steps"}
     described: list[JsonValue] = [
-        [stage.name, stage.options.model_dump(mode="json", exclude=lengths), *([stage.space] if stage.index else [])]
+        [
+            stage.name,
+            stage.options.model_dump(mode="json", exclude=lengths),
+            stage.space if stage.is_teaching_space or stage.needs_teacher else None,
+        ]
         for stage in stages
     ]
     has_labels = any(stage.needs_labels for stage in stages)
@@ -171,7 +177,7 @@ def _facts(chain: Chain, stages: Sequence[Stage], device: torch.device) -> dict[
         "pairs": chain.pairs.digest,
         "labels": chain.pairs.labels_folder.name if has_labels and chain.pairs.labels_folder else None,
         "judge": chain.judge_facts,
-        "sources": source_fingerprint(chain.sources),
+        "sources": source_fingerprint(training_entries(chain.recipe.network, stages)),
     }
 
 
@@ -272,8 +278,10 @@ class _Told:
         """Steps are too many to tell."""
 
     def judged(self, stage: Stage, *, step: int, judgement: Mapping[str, float]) -> None:
-        figures = f"{100 * judgement['off_3px']:.1f} % off by more than 3 px on validation"
-        self.place.tell(f"{stage.name}: step {step}, {figures}")
+        off, figures = judgement["off_3px"], ""
+        if math.isfinite(off):  # a task may have no scene to judge by
+            figures = f", {100 * off:.1f} % off by more than 3 px on validation"
+        self.place.tell(f"{stage.name}: step {step}{figures}")
 
     def stage_finished(self, stage: Stage, *, network: StereoNetwork, judgement: Mapping[str, float]) -> None:
         """Told by whoever asked."""

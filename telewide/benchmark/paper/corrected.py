@@ -8,11 +8,6 @@ from telewide.capture.pair import RectifiedPair
 from telewide.correction.correct import correct_pair
 from telewide.geometry.arrays import FloatImage
 
-CORRECTION_SOURCES = (
-    *("correction.colour", "correction.colour_model", "correction.rows", "correction.correct"),
-    *("points.features", "points.matches", "points.robust"),
-)
-
 
 def corrected_view(task: Task) -> SecondView:
     """Second views of a task with rows and colours brought to the first view's, as far as matches allow."""

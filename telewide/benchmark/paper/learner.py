@@ -17,9 +17,11 @@ from torch.nn import functional
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.learned import LearnedSystem
 from telewide.benchmark.paper.chain import Chain, Link, train_chain
-from telewide.benchmark.paper.corrected import CORRECTION_SOURCES, corrected_view
-from telewide.benchmark.paper.pairs import TrainingPairs, write_pairs
+from telewide.benchmark.paper.coarseness import coarser_by
+from telewide.benchmark.paper.corrected import corrected_view
+from telewide.benchmark.paper.pairs import write_pairs
 from telewide.benchmark.paper.restored import restored_view
+from telewide.benchmark.paper.sources import source_fingerprint
 from telewide.benchmark.paper.system import (
     BEST,
     LAST,
@@ -31,12 +33,9 @@ from telewide.benchmark.paper.system import (
     Task,
     content_fingerprint,
     enlarged_view,
-    source_fingerprint,
     undamaged_view,
 )
 from telewide.benchmark.spaces import match_features
-from telewide.capture.pair import PairReader
-from telewide.correction.blur import damage_range, fit_blur
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.inference import GRID_PX, choose_device, full_precision, match_with_network
@@ -44,7 +43,6 @@ from telewide.matching.networks import StereoNetwork, comparable_map, prepare_vi
 from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window
 from telewide.points.held_out import summarise_errors
-from telewide.points.matches import find_matches
 from telewide.stages.labels import labeller_of
 from telewide.stages.train import USUAL_ASYMMETRY
 from telewide.training.checkpoint import STATE_NAME, load_state, load_weights
@@ -54,14 +52,13 @@ from telewide.training.options import TrainOptions
 from telewide.training.stages import SPACE_STAGE, Stage, plan_stages
 
 
-def prepare_learned(system: LearnedSystem, task: Task, place: Place, *, sources: tuple[str, ...]) -> Prepared:
+def prepare_learned(system: LearnedSystem, task: Task, place: Place) -> Prepared:
     """Train a system on a task, or take what is kept.
 
     Args:
         system: what it is made of.
         task: what it may learn from.
         place: where it is kept.
-        sources: modules of telewide that decide the result.
 
     Raises:
         UsageError: its restorer cannot enlarge by the task's factor.
@@ -84,9 +81,11 @@ def prepare_learned(system: LearnedSystem, task: Task, place: Place, *, sources:
         place=place,
         pairs=pairs,
         judge=truth_judge(task, shown),
-        judge_facts=[content_fingerprint(scene.read()) for scene in task.validation],
-        asymmetry=_asymmetry(pairs) if recipe.train.rehearsal.steps else USUAL_ASYMMETRY,
-        sources=sources,
+        judge_facts={
+            "scenes": [content_fingerprint(scene.read()) for scene in task.validation],
+            "undamaged": plan[-1].options.symmetric_input,
+        },
+        asymmetry=(coarser_by(pairs.captures) or USUAL_ASYMMETRY) if recipe.train.rehearsal.steps else USUAL_ASYMMETRY,
     )
     if system.shows == "space":
         is_taught = any(stage.is_teaching_space for stage in plan)
@@ -108,13 +107,17 @@ def _second_view(
         "damage": task.damage.model_dump(mode="json", exclude={"description"}),
         "factor": task.factor,
         "seed": task.seed,
-        "sources": source_fingerprint(["benchmark.damages", "simulate.degrade"]),
+        "sources": source_fingerprint(["benchmark.paper.system"]),
     }
     if system.restorer is not None:
         view, restorer_facts = restored_view(system.restorer, task, place)
         return view, {**facts, "view": "restored", **restorer_facts}
     if system.corrects:
-        return corrected_view(task), {**facts, "view": "corrected", "by": source_fingerprint(CORRECTION_SOURCES)}
+        return corrected_view(task), {
+            **facts,
+            "view": "corrected",
+            "by": source_fingerprint(["benchmark.paper.corrected"]),
+        }
     return enlarged_view(task), facts
 
 
@@ -151,18 +154,6 @@ def truth_judge(task: Task, shown: SecondView) -> Judge:
         return summarise_errors(np.concatenate(errors_px).astype(np.float64))
 
     return judge
-
-
-def _asymmetry(pairs: TrainingPairs) -> tuple[float, float]:
-    """Range of the factor by which the second views are coarser, measured as on captures."""
-    reader, blurs = PairReader(max_bytes=0), []
-    for capture in pairs.captures:
-        pair = reader.read(capture)
-        blur = fit_blur(pair.tele, pair.wide, find_matches(pair.tele, pair.wide))
-        if blur is not None:
-            blurs.append(blur)
-    damage = damage_range(blurs)
-    return USUAL_ASYMMETRY if damage is None else damage.factor
 
 
 def _matchers(link: Link, has_validation: bool, device: torch.device) -> dict[str, Matcher]:

@@ -122,7 +122,9 @@ def _block(table: Table, means: Mapping[Key, Mean], data_set: str) -> Block:
         ]
         lines.append((SYSTEMS[system].title, *line))
     names = [f"{column.damage} x{column.factor:g}{', best' if weights else ''}" for _, column, weights in columns]
-    return Block(data_set, ("3PE % / EPE px", *names), tuple(lines))
+    shows_spaces = any(math.isfinite(mean.space_psnr_db) for mean in means.values())
+    measures = "3PE % / EPE px / PSNR dB" if shows_spaces else "3PE % / EPE px"
+    return Block(data_set, (measures, *names), tuple(lines))
 
 
 def ratio_blocks(table: Table, means: Mapping[Key, Mean]) -> list[Block]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from pydantic import JsonValue
 
 from telewide.benchmark.datasets.protocols import Scene
+from telewide.benchmark.paper.sources import LABELLING, source_fingerprint
 from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint
 from telewide.capture.images import write_image
 from telewide.capture.layout import Capture
@@ -75,7 +76,13 @@ def write_pairs(
         raise InputError("no scene to learn from is there", hint="the protocols of the table say which are taken")
     sharp = {_name(scene): scene.read() for scene in task.training}
     contents: list[JsonValue] = [f"{name} {content_fingerprint(truth)}" for name, truth in sharp.items()]
-    facts: dict[str, JsonValue] = {"scenes": contents, "window": list(task.window), "view": dict(view_facts)}
+    is_labelled = teaches_by is not None and teaches_by != "truth"
+    facts: dict[str, JsonValue] = {
+        "scenes": contents,
+        "window": list(task.window),
+        "view": dict(view_facts),
+        "sources": source_fingerprint(["benchmark.paper.pairs", *(LABELLING if is_labelled else ())]),
+    }
     digest = digest_of(facts)
     folder = place.folder / "pairs" / digest
     with alone_in(folder, waiting=place.tell):
@@ -88,7 +95,7 @@ def write_pairs(
                 write_image(folder / _name(scene) / "sharp.png", truth.right)
                 write_pfm(labels_path(folder / "truth" / _name(scene), window_px=task.window), truth.disparity_px)
             write_text(folder / _DONE, json.dumps(facts) + "\n")
-        if teaches_by is not None and teaches_by != "truth":
+        if teaches_by is not None and is_labelled:
             _write_labels(folder / teaches_by, tuple(sharp), task, place)
     views = partial(_capture, folder)
     return TrainingPairs(

@@ -18,7 +18,8 @@ from torch import nn
 
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.benchmark.paper.pairs import digest_of
-from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint, source_fingerprint
+from telewide.benchmark.paper.sources import source_fingerprint
+from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint
 from telewide.capture.images import resize_bicubic
 from telewide.errors import InputError, TelewideError, UsageError
 from telewide.files import fingerprint, is_file, replacing
@@ -86,7 +87,7 @@ def _trained(name: str, factor: int, task: Task, place: Place) -> tuple[nn.Modul
         "pictures": [content_fingerprint(scene.read()) for scene in task.training],
         "budget": task.budget.as_data(),
         "seed": task.seed,
-        "sources": source_fingerprint(["restoration", "benchmark.paper.restored"]),
+        "sources": source_fingerprint(["benchmark.paper.restored", f"restoration.restorers:{name}"]),
     }
     folder = place.folder / "restorers" / digest_of(facts)
     with alone_in(folder, waiting=place.tell):

@@ -13,7 +13,7 @@ from telewide.benchmark.paper.pictures import Found, Sheet, kept_map, write_scen
 from telewide.benchmark.paper.system import BEST, LAST, Budget, Prepared, System, Tell
 from telewide.benchmark.paper.systems import SYSTEMS, find_systems
 from telewide.benchmark.paper.tables import Table
-from telewide.benchmark.report import BenchmarkReport
+from telewide.benchmark.report import BenchmarkReport, describe_machine
 from telewide.cores import Device
 from telewide.errors import InputError, UsageError
 from telewide.training.processes import take_own_gpu, this_process
@@ -87,9 +87,25 @@ def benchmark_table(table: Table, options: PaperOptions, *, tell: Tell) -> Paper
     if not rows:
         raise InputError(f"no cell of the table {table.name} could be computed", hint="; ".join(cells.problems))
     facts = {"table": table.name, "budget": str(options.budget), "seeds": options.seeds, "device": options.device}
-    report = BenchmarkReport(f"paper {table.name}", facts, tuple(rows), (*notes, *cells.problems))
+    report = BenchmarkReport(
+        f"paper {table.name}",
+        facts,
+        tuple(rows),
+        notes=(*notes, *cells.problems),
+        machine=_machine(plans, options.device),
+    )
     folder = options.out / table.name
     return PaperResult(report, tuple(_drawn(plans, cells, rows, folder=folder)) if processes.is_writer else ())
+
+
+def _machine(plans: Sequence[CellPlan], device: Device) -> dict[str, object]:
+    """State the machine and, where networks are asked, what they compute on."""
+    machine = describe_machine()
+    if any(plan.system.learns or plan.system.files for plan in plans):
+        from telewide.benchmark.networks import device_facts
+
+        machine |= device_facts(device)
+    return machine
 
 
 def planned_cells(table: Table, options: PaperOptions) -> tuple[list[CellPlan], list[str]]:

@@ -8,7 +8,7 @@ Letters: C channels, H W image.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from telewide.benchmark.damages import Damage, damaged_small_view, damaged_view
 from telewide.benchmark.datasets.protocols import Scene
 from telewide.benchmark.datasets.truth import StereoTruth
 from telewide.cores import Device
-from telewide.files import fingerprint, is_folder
+from telewide.files import fingerprint
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.matching.window import Window
 
@@ -31,8 +31,6 @@ Encoder = Callable[[FloatMap], FloatMap]
 
 LAST, BEST = "last", "best"
 """Names of the weights that a system which learns hands back: those of its last step, and those best on validation."""
-
-_PACKAGE = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ class System:
         name: by which it is asked for.
         title: as it stands in tables.
         prepare: (task, place) to what answers.
-        sources: modules of telewide that decide what it answers; a change to one of them makes its cells anew.
+        sources: entries (`benchmark.paper.sources`) of what decides its answers; a change there makes its cells anew.
         files: what it reads besides, such as weights; a change makes its cells anew likewise.
         learns: whether training, validation and budget of the task matter.
         facts: what it is made of, as plain data; a change makes its cells anew likewise.
@@ -169,20 +167,6 @@ class System:
     learns: bool = True
     facts: Mapping[str, JsonValue] = field(default_factory=dict)
     takes: str | None = None
-
-
-def source_fingerprint(modules: Sequence[str]) -> str:
-    """Fingerprint the source text of modules of telewide.
-
-    Args:
-        modules: names below ``telewide``; a package stands for all its modules.
-    """
-    digest = hashlib.sha256()
-    for module in modules:
-        path = _PACKAGE / module.replace(".", "/")
-        for file in sorted(path.glob("*.py")) if is_folder(path) else (path.with_suffix(".py"),):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def weights_fingerprints(system: System, task: Task) -> list[str]:

@@ -12,8 +12,9 @@ import numpy as np
 
 from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.learned import read_learned_systems
-from telewide.benchmark.paper.corrected import CORRECTION_SOURCES, corrected_view
+from telewide.benchmark.paper.corrected import corrected_view
 from telewide.benchmark.paper.learned_rows import learned_row
+from telewide.benchmark.paper.sources import BOX_NETWORK
 from telewide.benchmark.paper.system import Matcher, Place, Prepared, System, Task
 from telewide.benchmark.spaces import match_features
 from telewide.errors import unknown_name
@@ -73,36 +74,32 @@ def _comes_with_telewide(task: Task, _place: Place) -> Prepared:
     return Prepared({"": answer}, corrected_view(task))
 
 
-_BOX_SOURCES = (
-    *("matching.guided", "matching.inference", "matching.sampling", "matching.volume"),
-    *CORRECTION_SOURCES,
-)
-_WITHOUT_LEARNING = (
-    System(
+_WITHOUT_LEARNING = {
+    "sgm-opencv": System(
         "sgm-opencv",
         "SGM (OpenCV)",
         lambda _task, _place: Prepared({"": match_like_opencv}),
-        ("benchmark.paper.systems", "matching.filling"),
+        ("benchmark.paper.systems:sgm-opencv",),
         learns=False,
     ),
-    System(
+    "sgm": System(
         "sgm",
         "sgm of telewide",
         lambda _task, _place: Prepared({"": _match_semiglobal}),
-        ("matching.semiglobal", "matching.filling", "matching.subpixel"),
+        ("benchmark.paper.systems:sgm",),
         learns=False,
     ),
-    System(
+    "ours": System(
         "ours",
         "telewide depth, as it comes",
         _comes_with_telewide,
-        _BOX_SOURCES,
+        ("benchmark.paper.systems:ours", f"matching.networks:{BOX_NETWORK}"),
         files=(BOX_WEIGHTS,),
         learns=False,
     ),
-    System("image-space", "Image", _spaced, ("benchmark.spaces",), learns=False),
-)
-SYSTEMS: dict[str, System] = {system.name: system for system in _WITHOUT_LEARNING} | {
+    "image-space": System("image-space", "Image", _spaced, ("benchmark.paper.systems:image-space",), learns=False),
+}
+SYSTEMS: dict[str, System] = _WITHOUT_LEARNING | {
     name: learned_row(name, system) for name, system in read_learned_systems().items()
 }
 

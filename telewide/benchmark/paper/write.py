@@ -10,7 +10,7 @@ from telewide.benchmark.paper.means import paper_table
 from telewide.benchmark.paper.page import write_paper_page
 from telewide.benchmark.paper.run import PaperResult
 from telewide.benchmark.paper.tables import Table
-from telewide.benchmark.report import write_report_json
+from telewide.benchmark.report import machine_facts, machine_line, write_report_json
 from telewide.files import write_text
 
 
@@ -27,13 +27,16 @@ def write_table(table: Table, result: PaperResult, out: Path) -> tuple[Path, ...
     """
     report = result.report
     text, rows, numbers, page = (out / f"{table.name}.{suffix}" for suffix in ("md", "csv", "json", "html"))
+    machine = machine_facts(report.machine)
     notes = "".join(f"\n- {note}" for note in report.notes)
     budget = f"Budget of each training: {report.options['budget']}; seeds: {report.options['seeds']}."
-    write_text(text, f"# {table.title}\n\n{paper_table(table, report.rows)}\n\n{budget}\n{notes}\n")
+    made_on = f"Machine: {machine_line(report.machine)}."
+    write_text(text, f"# {table.title}\n\n{paper_table(table, report.rows)}\n\n{budget}\n\n{made_on}\n{notes}\n")
     stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(report.rows[0]), lineterminator="\n")
+    of_all = {"budget": report.options["budget"], **machine}
+    writer = csv.DictWriter(stream, [*report.rows[0], *of_all], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(report.rows)
+    writer.writerows({**row, **of_all} for row in report.rows)
     write_text(rows, stream.getvalue())
     write_report_json(report, numbers)
     write_paper_page(page, table, report, sheets=result.sheets)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -16,25 +17,33 @@ from telewide.benchmark.damages import damaged_view
 from telewide.benchmark.learned import LearnedSystem, read_learned_systems
 from telewide.benchmark.paper.cells import Cells
 from telewide.benchmark.paper.chain import StageRecord
-from telewide.benchmark.paper.learned_rows import NETWORK_SOURCES, learned_row
+from telewide.benchmark.paper.learned_rows import learned_row
 from telewide.benchmark.paper.system import Budget, System, undamaged_view, weights_fingerprints
 from telewide.benchmark.paper.systems import SYSTEMS
 from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.matching.inference import match_with_network
-from telewide.matching.networks import NETWORKS, build_network, published_psmnet
+from telewide.matching.networks import build_network, published_psmnet
 from telewide.records import read_record
 from telewide.restoration.restorers import build_restorer
 
 LEARNED = tuple(read_learned_systems())
+Shows = Literal["disparity", "space"]
 SMALL = ("train.crop_hw=[64, 96]", "train.photometric.captured=1", "train.feature.captured=1")
 
 
-def small_row(*settings: str, restorer: str | None = None) -> System:
+def small_row(
+    *settings: str, restorer: str | None = None, shows: Literal["disparity", "space"] = "disparity"
+) -> System:
     """A row as small as its stages allow."""
-    system = LearnedSystem(title="Small", network="lite", settings=(*SMALL, *settings), restorer=restorer)
+    system = LearnedSystem(title="Small", network="lite", settings=(*SMALL, *settings), restorer=restorer, shows=shows)
     return learned_row("small", system)
+
+
+def of_space(name: str) -> tuple[str, ...]:
+    """Settings of one feature-metric stage in a space of its own."""
+    return "train.stages=1", f"train.feature_space={name}", "train.space.steps=1", "train.space.captured=1"
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +98,22 @@ def test_rows_share_the_stages_they_begin_with(data: Path, out: Path, tmp_path: 
     assert stages_in(tmp_path)["photometric"] == 2
 
 
+def test_rows_of_other_spaces_share_what_comes_before_them(data: Path, tmp_path: Path) -> None:
+    task = task_of(data, steps=8)
+    for row in (small_row("train.stages=1"), small_row(*of_space("contrastive")), small_row(*of_space("auto-encoder"))):
+        row.prepare(task, Told().place(tmp_path))
+    assert stages_in(tmp_path) == {"feature-1": 3, "photometric": 1}
+    n_folders = len(list((tmp_path / "trainings").iterdir()))
+    assert n_folders == 1 + 2 + 3, "a space has no weights of a network"
+    small_row("train.stages=0").prepare(task, Told().place(tmp_path))
+    assert len(list((tmp_path / "trainings").iterdir())) == n_folders + 1, "one stage alone has the whole budget"
+    for settings in (of_space("contrastive"), of_space("auto-encoder"), ("train.stages=0",)):
+        told = Told()
+        assert small_row(*settings, shows="space").prepare(task, told.place(tmp_path)).encoder is not None
+        assert told.lines == [], "what a row is judged by matters to no training"
+    assert len(list((tmp_path / "trainings").iterdir())) == n_folders + 1
+
+
 def test_a_training_cut_off_ends_as_one_that_was_not(data: Path, tmp_path: Path) -> None:
     def stop(line: str) -> None:
         if "photometric: step 3" in line:
@@ -109,8 +134,11 @@ def test_a_training_cut_off_ends_as_one_that_was_not(data: Path, tmp_path: Path)
 
 def test_minutes_become_steps_that_stay(data: Path, tmp_path: Path) -> None:
     task = replace(task_of(data, steps=1), budget=Budget(0.02), validation=())
-    prepared = small_row("train.stages=0").prepare(task, Told().place(tmp_path))
+    told = Told()
+    prepared = small_row("train.stages=0").prepare(task, told.place(tmp_path))
     assert list(prepared.matchers) == ["last"], "nothing judges which weights are best"
+    assert any("photometric: step" in line for line in told.lines)
+    assert [line for line in told.lines if "nan" in line] == []
     record = read_record(next((tmp_path / "trainings").glob("*/stage.json")), StageRecord)
     assert record.steps == prepared.steps
     assert 1 <= record.steps < 200
@@ -178,15 +206,6 @@ def test_a_checkpoint_of_psmnet_answers_without_a_training(data: Path, tmp_path:
 def test_without_scenes_to_learn_from_a_row_says_so(data: Path, out: Path) -> None:
     with pytest.raises(InputError, match="no scene to learn from"):
         small_row("train.stages=0").prepare(task_of(data, steps=1, training=()), Told().place(out))
-
-
-def test_every_network_depends_on_the_modules_it_is_made_of() -> None:
-    assert NETWORK_SOURCES.keys() == NETWORKS.keys()
-    for name, sources in NETWORK_SOURCES.items():
-        network = build_network(name)
-        own = {type(part).__module__.removeprefix("telewide.") for part in network.modules()}
-        shared = {"matching.batch_norm", "matching.conv3d", "matching.networks"}
-        assert {module for module in own if module.startswith("matching.")} - shared <= set(sources), name
 
 
 @pytest.mark.slow

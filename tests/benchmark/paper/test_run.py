@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import time
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import cv2
@@ -25,6 +26,7 @@ from telewide.benchmark.paper.write import write_table
 from telewide.capture.images import read_image, write_image
 from telewide.capture.pfm import write_pfm
 from telewide.cli.app import app
+from telewide.cores import usable_cores
 from telewide.errors import InputError, UsageError
 from telewide.simulate.degrade import shrink_and_enlarge
 
@@ -90,7 +92,7 @@ def test_a_changed_system_makes_its_own_cells_anew(
     both = options(data, systems=("known", "other"), damages=("bic",))
     benchmark_table(TABLE, both, tell=lambda _: None)
     assert len(asked) == 2
-    monkeypatch.setitem(SYSTEMS, "other", replace(other, sources=("metrics", "srgb")))
+    monkeypatch.setitem(SYSTEMS, "other", replace(other, sources=("metrics", "matching.semiglobal")))
     benchmark_table(TABLE, both, tell=lambda _: None)
     assert len(asked) == 3
 
@@ -109,15 +111,28 @@ def test_the_table_shows_both_weights_and_what_is_published(data: Path, asked: l
         [cell.strip() for cell in line.split("|")[1:-1]]
         for line in paper_table(TABLE, result.report.rows).splitlines()[2:]
     )
+    assert head[0] == "3PE % / EPE px"
     assert head[1:] == ["BIC x2", "BIC x2, best", "IG x2", "IG x2, best"]
     assert known == ["Known", "100.00 / 4.00 (12.34 / 1.50)", "0.00 / 0.00", "100.00 / 4.00", "0.00 / 0.00"]
     assert any("not-built" in note for note in result.report.notes)
     paths = write_table(TABLE, result, data.parent / "out")
     assert "budget" in paths[0].read_text().lower()
+    machine = result.report.machine
+    (line,) = (line for line in paths[0].read_text().splitlines() if line.startswith("Machine: "))
+    processor, cores, torch_version, own_version = line.removeprefix("Machine: ").rstrip(".").rsplit(", ", 3)
+    assert processor == "; ".join(str(machine[name]) for name in ("processor", "gpu") if machine.get(name))
+    assert cores == f"{usable_cores()} core{'' if usable_cores() == 1 else 's'}"
+    assert torch_version == f"torch {metadata.version('torch')}"
+    assert own_version == f"telewide {metadata.version('telewide')}"
     of_best = [row for row in result.report.rows if row["weights"] == "best"]
     assert all(row["bad_1px"] == 0 and row["density"] == 1 for row in of_best)
     rows = list(csv.DictReader(paths[1].read_text().splitlines()))
     assert len(rows) == len(result.report.rows) == 2 * 2 * 2
+    for row in rows:
+        assert row["budget"] == "8 min"
+        assert (row["torch"], row["telewide"]) == (metadata.version("torch"), metadata.version("telewide"))
+        assert (row["processor"], row["cores"]) == (machine["processor"], str(usable_cores()))
+        assert row["gpu"] == machine.get("gpu", "")
     assert json.loads(paths[2].read_text())["machine"]["versions"]["numpy"]
 
 
@@ -143,7 +158,9 @@ def test_the_picture_as_a_space(data: Path) -> None:
     ]
     assert [row["space_psnr_db"] for row in result.report.rows] == pytest.approx(expected_db, abs=0.01)
     assert all(float(str(row["off_3px_5percent"])) < 0.2 for row in result.report.rows)
-    assert f"{np.mean(expected_db):.2f} dB (55.30 / 24.65 dB)" in paper_table(table, result.report.rows)
+    text = paper_table(table, result.report.rows)
+    assert f"{np.mean(expected_db):.2f} dB (55.30 / 24.65 dB)" in text
+    assert "| 3PE % / EPE px / PSNR dB |" in text
 
 
 def test_missing_data_and_slips(data: Path, asked: list[Task]) -> None:
