@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import cv2
@@ -67,6 +69,14 @@ def test_tiff_by_tifffile_pillow_and_opencv(tmp_path: Path) -> None:
         np.testing.assert_array_equal(np.asarray(by_pillow), depth_m())
     by_opencv = cv2.imread(str(tmp_path / "depth.tif"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(by_opencv, depth_m())
+
+
+def test_exiftool_has_nothing_against_a_tiff_of_depth(tmp_path: Path) -> None:
+    if shutil.which("exiftool") is None:
+        pytest.skip("exiftool is not installed")
+    write_depth(tmp_path, made_result(), formats=("tiff",))
+    call = ["exiftool", "-validate", "-warning", "-a", "-s3", str(tmp_path / "depth.tif")]
+    assert subprocess.run(call, check=True, capture_output=True, text=True).stdout == "OK\n"
 
 
 def test_tiff_without_metres_holds_disparity_and_says_so(tmp_path: Path) -> None:
