@@ -27,7 +27,7 @@ from telewide.geometry.stereo import DisparityMap
 from telewide.npz import read_npz
 from telewide.pages.curves import Curve
 from telewide.pages.report import NextStep, PageLink, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
-from telewide.pages.viewed import Metric, Opening, viewed_capture
+from telewide.pages.viewed import DEFAULT_LIGHTS, Metric, Opening, viewed_capture
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
@@ -102,7 +102,7 @@ def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Ope
         numbers["blur_per_px"],
         f_number=asked.f_number,
         aperture=asked.aperture,
-        lights=asked.highlights,
+        lights=asked.highlights or DEFAULT_LIGHTS,
     )
 
 
