@@ -26,7 +26,16 @@ from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
 from telewide.npz import read_npz
 from telewide.pages.curves import Curve
-from telewide.pages.report import NextStep, PageLink, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
+from telewide.pages.report import (
+    CaptureLink,
+    NextStep,
+    PageLink,
+    Picture,
+    ReportRow,
+    thumbnail,
+    thumbnail_wh,
+    write_report,
+)
 from telewide.pages.viewed import DEFAULT_LIGHTS, Metric, Opening, viewed_capture
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.text import Invocation, command_line
@@ -35,6 +44,8 @@ from telewide.training.stages import plan_stages
 
 _log = logging.getLogger("telewide")
 CAPTURES_A_PAGE = 12
+MOST_WITHOUT_INDEX = 8
+"""Captures that the strip shows side by side on a screen; of more there is a list."""
 PAGE_NAME = "report.html"
 BOKEH_NAME = "bokeh.jpg"
 _POLICY = b"default-src 'none'; img-src data:"  # stands in the head of every page of any version
@@ -51,6 +62,8 @@ def report_row(
     rotated_deg: int = 0,
     corrected: Path | None = None,
     bokeh_asked: BokehOptions | None = None,
+    notes: Sequence[str] = (),
+    made_by: str = "",
 ) -> ReportRow:
     """The line of one capture: its photos, preview and bokeh, its numbers, and what a person can look at closely.
 
@@ -62,6 +75,8 @@ def report_row(
         rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the results are.
         corrected: folder with the corrected pair; None where there is none.
         bokeh_asked: what the page opens with; None where none was asked for.
+        notes: sentences about it.
+        made_by: a sentence on what made its depth.
     """
     tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
     pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
@@ -88,7 +103,7 @@ def report_row(
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
     if "bokeh" in others:
         pictures.append(thumbnail("bokeh", others["bokeh"], link=_link(bokeh, root)))
-    return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
+    return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed, notes=notes, made_by=made_by)
 
 
 def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Opening | None:
@@ -159,8 +174,8 @@ def write_run_page(
     if any(not is_own_page(file) for file in files):
         return None
     known = iter(rows)
+    shown = [names[start : start + CAPTURES_A_PAGE] for start in starts]
     for at, start in enumerate(starts):
-        shown = [names[start : start + CAPTURES_A_PAGE] for start in starts]
         links = [
             PageLink(f"{some[0]} to {some[-1]}", file.name, file == files[at])
             for some, file in zip(shown, files, strict=True)
@@ -176,6 +191,12 @@ def write_run_page(
             next_steps=next_steps,
             facts={"telewide": metadata.version("telewide"), **facts},
             others=links,
+            index=[
+                CaptureLink(name, "" if file == files[at] else file.name)
+                for some, file in zip(shown, files, strict=True)
+                for name in some
+                if len(names) > MOST_WITHOUT_INDEX
+            ],
         )
     return files[0]
 

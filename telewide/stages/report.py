@@ -22,6 +22,7 @@ from telewide.pages.run_page import (
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
 from telewide.stages.lying_depth import LyingDepth, lying_depths, names_lying
+from telewide.stages.provenance import facts_of_call, made_by, notes_of
 from telewide.stages.training_result import read_result
 
 
@@ -66,7 +67,7 @@ def _written(
         summary=summary,
         next_steps=steps,
         result="" if trained is None else f"Its result: {trained.told}.",
-        facts={"captures": str(call.captures.root), "command": call.invocation.again()},
+        facts=facts_of_call(call),
     )
     if page is None:
         call.observer.warned(f"{root / PAGE_NAME} is not a page of telewide's, so it is left as it is: no report")
@@ -123,4 +124,6 @@ def _rows(
             rotated_deg=shown.rotated_deg,
             corrected=call.folder.pairs / name,
             bokeh_asked=shown.bokeh,
+            notes=notes_of(name, depth=done.folder / name, pair=call.folder.pairs / name),
+            made_by=made_by(done.folder / name, run_weights=call.folder.weights),
         )

@@ -25,7 +25,7 @@ from telewide.bokeh.hidden import COUNT, JUMP
 from telewide.bokeh.render import radius_per_px_from_f_number, render_bokeh
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
-from telewide.pages.report import NextStep, ReportRow, thumbnail, write_report
+from telewide.pages.report import CaptureLink, NextStep, ReportRow, thumbnail, write_report
 from telewide.pages.viewed import Metric, Opening, viewed_capture
 from telewide.srgb import srgb_from_linear
 
@@ -353,6 +353,39 @@ def test_the_strip_changes_the_capture(opened: Any) -> None:
     second.click()
     opened.wait_for_function("document.querySelectorAll('#strip [aria-current=true]').length === 1")
     assert second.get_attribute("aria-current") == "true"
+
+
+def test_the_index_leads_to_captures_and_their_notes(tmp_path: Path) -> None:
+    """A name that an address has to spell out; a link from another page; a note that is no markup."""
+    photo, disparity_px = world()
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+    names = ["a", "Caf\u00e9 & b/c #1", "left"]
+    rows = []
+    for name in names:
+        told = viewed_capture(photo, maps, others={}, metric=None, name=name)
+        notes, made = (f"see `rig` <b>{name}</b>",), f"Matched by {name}."
+        rows.append(ReportRow(name, (thumbnail("tele", photo),), {}, told, notes=notes, made_by=made))
+    index = [CaptureLink(name) for name in names]
+    path = write_report(tmp_path / "report.html", rows, title="Page", index=index)
+    with page_in_browser(path) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        for name in (names[1], names[2], names[1]):
+            with drawn_anew(page):
+                page.click(f".index a:has-text('{name}')")
+            assert page.inner_text("#name") == name
+            assert page.locator(".index a[aria-current=true]").all_inner_texts() == [name]
+            assert page.inner_text("#notes") == f"see --rig <b>{name}</b>"
+            assert page.inner_text("#madeBy") == f"Matched by {name}."
+            if name == names[2]:
+                page.locator("#strip button").first.click()
+                page.wait_for_function("document.getElementById('name').textContent === 'a'")
+                page.wait_for_selector(DONE, timeout=120_000)
+        address = page.url
+        page.goto("about:blank")
+        page.goto(address)
+        page.wait_for_selector(DONE, timeout=120_000)
+        assert page.inner_text("#name") == names[1]
+        page.goto(path.as_uri())
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -74,6 +74,13 @@ void main() {
   colour = vec4(srgb, 1);
 }`;
 
+// The index leads to captures of this page: #capture-name.
+const links = [...document.querySelectorAll('.index a[href^="#"]')];
+function nameIn(hash) {
+  try { return decodeURIComponent(hash.replace(/^#capture-/, "")); } catch { return ""; }
+}
+const sceneNamed = (name) => scenes.findIndex((each) => each.dataset.scene === name);
+
 let gl = null, depth = null, programs = null, scene = null, state = null, waiting = 0;
 
 function start() {
@@ -191,6 +198,9 @@ async function open(index) {
     each.setAttribute("aria-current", String(k === index));
   byId("name").textContent = told.name;
   byId("extent").textContent = extent();
+  byId("notes").replaceChildren(...told.notes.map((note) => { const line = document.createElement("p"); line.textContent = note; return line; }));
+  byId("madeBy").textContent = told.madeBy;
+  for (const each of links) each.setAttribute("aria-current", String(nameIn(each.hash) === told.name));
   for (const side of ["left", "right"]) choices(byId(side), side === "left" ? "tele" : "disparity");
   setSliders();
   aperture();
@@ -439,9 +449,11 @@ function show(view) {
 for (const each of document.querySelectorAll("#views button")) each.addEventListener("click", () => show(each.value));
 for (const [k, each] of document.querySelectorAll("#strip button").entries()) each.addEventListener("click", () => open(k));
 
-// A link to one of many captures: report.html#name.
-const named = decodeURIComponent(location.hash.slice(1));
-const first = Math.max(scenes.findIndex((each) => each.dataset.scene === named), 0);
+for (const each of links) each.addEventListener("click", () => {
+  const index = sceneNamed(nameIn(each.hash));
+  if (scene && index >= 0) open(index);
+});
+const first = Math.max(sceneNamed(nameIn(location.hash)), 0);
 if (!start()) { byId("lack").hidden = false; root.dataset.view = "none"; return; }
 document.documentElement.dataset.live = "1";
 open(first).then(() => show("focus"));
