@@ -11,7 +11,18 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
-from depth.formats.made_depth import BASELINE_M, BOX, HW, SKY, WALL, depth_m, made_photo, made_result
+from depth.formats.made_depth import (
+    BASELINE_M,
+    BOX,
+    HW,
+    SKY,
+    WALL,
+    depth_m,
+    made_photo,
+    made_result,
+    turned,
+    turned_result,
+)
 from PIL import Image
 
 from telewide.capture.facts import CaptureFacts
@@ -118,6 +129,20 @@ def test_exr_by_openexr(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pixels["confidence"], np.where(measured, 0.75, 0))
     np.testing.assert_allclose(header["cameraIntrinsicsPx"], made_result().K)
     assert header["baselineMetres"] == pytest.approx(BASELINE_M)
+
+
+@pytest.mark.parametrize("rotated_deg", [90, 180, 270])
+def test_exr_of_turned_photos_is_that_of_upright_ones(tmp_path: Path, rotated_deg: int) -> None:
+    OpenEXR = pytest.importorskip("OpenEXR", reason="the extra exr is not installed")
+    write_depth(tmp_path / "upright", made_result(), image=made_photo(), formats=("exr",))
+    photo = turned(made_photo(), rotated_deg)
+    write_depth(tmp_path / "turned", turned_result(rotated_deg), image=photo, formats=("exr",))
+    expected, found = (OpenEXR.File(str(tmp_path / name / "depth.exr")) for name in ("upright", "turned"))
+    assert found.channels().keys() == expected.channels().keys()
+    for name, channel in expected.channels().items():
+        np.testing.assert_allclose(found.channels()[name].pixels, channel.pixels, rtol=1e-6, err_msg=name)
+    K, turned_K = (np.asarray(file.header()["cameraIntrinsicsPx"]) for file in (expected, found))
+    np.testing.assert_allclose(turned_K, K)
 
 
 def test_exr_without_metres_has_no_z(tmp_path: Path) -> None:
