@@ -27,7 +27,7 @@ from PIL import Image
 
 from telewide.capture.facts import CaptureFacts
 from telewide.depth.export import write_depth
-from telewide.depth.formats.png_files import png_from_depth
+from telewide.depth.formats.depth_png_file import png_from_depth
 from telewide.depth.result import FARTHEST_M, depth_result
 from telewide.geometry.stereo import DisparityMap
 from telewide.srgb import linear_from_srgb
