@@ -62,8 +62,6 @@ def report_row(
     rotated_deg: int = 0,
     corrected: Path | None = None,
     bokeh_asked: BokehOptions | None = None,
-    notes: Sequence[str] = (),
-    made_by: str = "",
 ) -> ReportRow:
     """The line of one capture: its photos, preview and bokeh, its numbers, and what a person can look at closely.
 
@@ -75,8 +73,6 @@ def report_row(
         rotated_deg: how far the photos were turned counter-clockwise; they are shown upright, as the results are.
         corrected: folder with the corrected pair; None where there is none.
         bokeh_asked: what the page opens with; None where none was asked for.
-        notes: sentences about it.
-        made_by: a sentence on what made its depth.
     """
     tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
     pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
@@ -103,7 +99,7 @@ def report_row(
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
     if "bokeh" in others:
         pictures.append(thumbnail("bokeh", others["bokeh"], link=_link(bokeh, root)))
-    return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed, notes=notes, made_by=made_by)
+    return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
 
 
 def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Opening | None:
@@ -179,7 +175,6 @@ def write_run_page(
         links = [
             PageLink(f"{some[0]} to {some[-1]}", file.name, file == files[at])
             for some, file in zip(shown, files, strict=True)
-            if len(files) > 1
         ]
         write_report(
             files[at],
@@ -190,15 +185,19 @@ def write_run_page(
             result=result if start == 0 else "",
             next_steps=next_steps,
             facts={"telewide": metadata.version("telewide"), **facts},
-            others=links,
-            index=[
-                CaptureLink(name, "" if file == files[at] else file.name)
-                for some, file in zip(shown, files, strict=True)
-                for name in some
-                if len(names) > MOST_WITHOUT_INDEX
-            ],
+            others=links if len(files) > 1 else (),
+            index=_index(shown, files, page=files[at]) if len(names) > MOST_WITHOUT_INDEX else (),
         )
     return files[0]
+
+
+def _index(shown: Sequence[Sequence[str]], files: Sequence[Path], *, page: Path) -> list[CaptureLink]:
+    """Links of one page to the captures of all."""
+    return [
+        CaptureLink(name, "" if file == page else file.name)
+        for names, file in zip(shown, files, strict=True)
+        for name in names
+    ]
 
 
 def is_own_page(path: Path) -> bool:

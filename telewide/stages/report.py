@@ -116,7 +116,7 @@ def _rows(
     made = [LyingDepth(captures[one.name], {**one.numbers}, rotated_deg, bokeh) for one in done.outcomes]
     for shown in sorted((*made, *others), key=lambda one: one.capture.name):
         name = shown.capture.name
-        yield report_row(
+        row = report_row(
             read_photos(shown.capture, read=call.photos.read if name in captures else read_image),
             done.folder / name,
             root=root,
@@ -124,6 +124,9 @@ def _rows(
             rotated_deg=shown.rotated_deg,
             corrected=call.folder.pairs / name,
             bokeh_asked=shown.bokeh,
+        )
+        yield replace(
+            row,
             notes=notes_of(name, depth=done.folder / name, pair=call.folder.pairs / name),
             made_by=made_by(done.folder / name, run_weights=call.folder.weights),
         )
