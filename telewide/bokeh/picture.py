@@ -56,7 +56,8 @@ class BokehOptions:
         f_number: of an imitated lens; needs the baseline.
         equiv_focal_mm: focal length of that lens on 35 mm film.
         aperture: shape of its opening.
-        highlights: how many times as bright as white small clipped lights are taken to have been.
+        highlights: how many times as bright as white small clipped lights are taken to have been; None, not stated,
+            leaves them white in files.
         kinds: of the files it is written to: "jpg", "tif" with 16 bits, "exr" in linear light, of a RAW photo.
         is_stripped: whether the files are to say nothing of the photo but its colour profile.
         is_preview: whether a small picture is enough, `PREVIEW_SHRINKS` times fewer pixels along each side.
@@ -68,7 +69,7 @@ class BokehOptions:
     f_number: float | None = None
     equiv_focal_mm: float = 50.0
     aperture: Aperture = DISK
-    highlights: float = 1.0
+    highlights: float | None = None
     kinds: tuple[PictureKind, ...] = ("jpg",)
     is_stripped: bool = False
     is_preview: bool = False
@@ -236,7 +237,7 @@ def bokeh_picture(
         radius_per_px=radius_per_px,
         sharp_px=focus.sharp_px,
         aperture=options.aperture,
-        highlights=options.highlights,
+        highlights=options.highlights or 1.0,
         around=around,
     )
 

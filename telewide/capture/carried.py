@@ -6,9 +6,8 @@ offsets break, and some name other files), and of XMP whatever points at data of
 
 from __future__ import annotations
 
-import struct
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,16 +17,16 @@ from xml.etree import ElementTree
 from PIL import Image
 
 from telewide.capture.colour_profiles import rgb_profile, srgb_profile
+from telewide.capture.exif_block import IFD_EXIF, IFD_GPS, with_exif_types
 from telewide.capture.formats import HEAD_BYTES, TAG_DNG_VERSION, format_by_head, read_bytes
 from telewide.capture.pillow_photos import exif_of, has_wider_colours, open_photo
 from telewide.capture.tiff_tags import stated_bytes
 from telewide.files import open_regular
 
-_IFD_EXIF, _IFD_GPS = 34665, 34853
 _ORIENTATION, _SOFTWARE, _XMP, _PHOTOMETRIC, _PROFILE = 274, 305, 700, 262, 34675
 _RGB = 2
 _MOST_TAG_BYTES = 1 << 24
-_WIDTH, _HEIGHT, _CUSTOM_RENDERED = 40962, 40963, 41985
+_CHANNELS, _WIDTH, _HEIGHT, _CUSTOM_RENDERED = 37121, 40962, 40963, 41985
 _COLOUR_SPACE, _OTHER_SPACES = 40961, {2, 65535}  # Adobe RGB, as some cameras say, and uncalibrated
 # ImageDescription, Make, Model, resolution and its unit, DateTime, Artist, Copyright.
 _LASTING = (270, 271, 272, 282, 283, 296, 306, 315, 33432)
@@ -35,9 +34,7 @@ _LASTING = (270, 271, 272, 282, 283, 296, 306, 315, 33432)
 _FALSE_OF_A_PICTURE = {37500, 37396, 41492, 40965, 42016, 37122, 40964}
 # What EXIF 2.32 wants of every JPEG: 72 px an inch, chroma sited between pixels; the versions, channels Y Cb Cr, sRGB.
 _REQUIRED = {282: 72.0, 283: 72.0, 296: 2, 531: 1}
-_REQUIRED_OF_EXIF = {36864: b"0232", 37121: b"\1\2\3\0", 40960: b"0100", 40961: 1}
-_UNDEFINED = {_IFD_EXIF: {34856, 36864, 37121, 37510, 40960, 41728, 41729, 41730, 41995}, _IFD_GPS: {27, 28}}
-_SIGNED = {37377, 37379, 37380}  # ShutterSpeedValue, BrightnessValue, ExposureBiasValue
+_REQUIRED_OF_EXIF = {36864: b"0232", _CHANNELS: b"\1\2\3\0", 40960: b"0100", 40961: 1}
 _REQUIRED_OF_GPS = {0: b"\2\3\0\0"}
 _MOST_EXIF_BYTES, _MOST_XMP_BYTES = 65000, 60000
 
@@ -84,22 +81,27 @@ class CarriedFacts:
         """Colour profile of a picture made from it: its own, else that of sRGB; None where its colours have no name."""
         return self.profile or (None if self.has_other_colours else srgb_profile())
 
-    def exif_bytes(self, *, wh: tuple[int, int], software: str) -> bytes:
+    def exif_bytes(self, *, wh: tuple[int, int] | None, software: str) -> bytes:
         """Write EXIF of an upright picture.
 
         Args:
-            wh: width and height, px.
+            wh: width and height, px; None for a TIFF, which states them and its channels elsewhere.
             software: what made it.
         """
         exif = Image.Exif()
+        exif.endian = "<"
         for tag, value in {**_REQUIRED, **self.lasting}.items():
             exif[tag] = value
         exif[_ORIENTATION], exif[_SOFTWARE] = 1, software
-        own = {_WIDTH: wh[0], _HEIGHT: wh[1], _CUSTOM_RENDERED: 1}
-        exif[_IFD_EXIF] = {**_REQUIRED_OF_EXIF, **self.exif, **own}
+        own: dict[int, object] = {**_REQUIRED_OF_EXIF, **self.exif, _CUSTOM_RENDERED: 1}
+        if wh is None:
+            own = {tag: value for tag, value in own.items() if tag not in {_CHANNELS, _WIDTH, _HEIGHT}}
+        else:
+            own |= {_WIDTH: wh[0], _HEIGHT: wh[1]}
+        exif[IFD_EXIF] = own
         if self.gps:
-            exif[_IFD_GPS] = {**_REQUIRED_OF_GPS, **self.gps}
-        return _with_exif_types(exif.tobytes())
+            exif[IFD_GPS] = {**_REQUIRED_OF_GPS, **self.gps}
+        return with_exif_types(exif.tobytes())
 
     def xmp_packet(self, *, software: str, done: str) -> bytes:
         """Write XMP of a picture: what holds of the photo, and what was done.
@@ -157,7 +159,7 @@ def _carried_of_tiff(stream: BinaryIO) -> CarriedFacts:
 
 
 def _carried_of_picture(exif: Image.Exif, xmp: object, profile: object, *, is_wider: bool = False) -> CarriedFacts:
-    space = exif.get_ifd(_IFD_EXIF).get(_COLOUR_SPACE)
+    space = exif.get_ifd(IFD_EXIF).get(_COLOUR_SPACE)
     has_others = not profile and (is_wider or space in _OTHER_SPACES)
     return replace(_carried(exif, xmp, rgb_profile(profile)), has_other_colours=has_others)
 
@@ -166,41 +168,13 @@ def _carried(exif: Image.Exif, xmp: object, profile: bytes | None) -> CarriedFac
     own = {tag: exif[tag] for tag in _LASTING if tag in exif}
     facts = CarriedFacts(
         lasting=_writable(own),
-        exif=_writable({t: v for t, v in exif.get_ifd(_IFD_EXIF).items() if t not in _FALSE_OF_A_PICTURE}, _IFD_EXIF),
-        gps=_writable(exif.get_ifd(_IFD_GPS), _IFD_GPS),
+        exif=_writable({t: v for t, v in exif.get_ifd(IFD_EXIF).items() if t not in _FALSE_OF_A_PICTURE}, IFD_EXIF),
+        gps=_writable(exif.get_ifd(IFD_GPS), IFD_GPS),
         xmp=_as_packet(xmp),
         profile=profile,
     )
     is_short = len(facts.exif_bytes(wh=(1, 1), software="")) <= _MOST_EXIF_BYTES
     return facts if is_short else replace(facts, lasting={}, exif={}, gps={})
-
-
-def _with_exif_types(exif: bytes) -> bytes:
-    """Give tags the types of EXIF (CIPA DC-008, 4.6.2): Pillow writes some of type 7 as 1, and some of 10 as 5."""
-    patched = bytearray(exif)
-    order = "<" if exif[6:8] == b"II" else ">"
-    (first,) = struct.unpack_from(f"{order}I", exif, 10)
-    for tag, _, place in _entries(exif, order, first):
-        if tag in {_IFD_EXIF, _IFD_GPS}:
-            (below,) = struct.unpack_from(f"{order}I", exif, place + 8)
-            for inner, kind, at in _entries(exif, order, below):
-                if kind == 1 and inner in _UNDEFINED[tag]:
-                    struct.pack_into(f"{order}H", patched, at + 2, 7)
-                elif kind == 5 and inner in _SIGNED and _is_signed_fraction(exif, order, at):
-                    struct.pack_into(f"{order}H", patched, at + 2, 10)
-    return bytes(patched)
-
-
-def _is_signed_fraction(exif: bytes, order: str, entry: int) -> bool:
-    (place,) = struct.unpack_from(f"{order}I", exif, entry + 8)
-    return bool(max(struct.unpack_from(f"{order}II", exif, place + 6)) < 1 << 31)
-
-
-def _entries(exif: bytes, order: str, directory: int) -> Iterator[tuple[int, int, int]]:
-    """Tag, type and place of each entry; places in EXIF count from behind its six letters."""
-    (count,) = struct.unpack_from(f"{order}H", exif, directory + 6)
-    for place in range(directory + 8, directory + 8 + 12 * count, 12):
-        yield *struct.unpack_from(f"{order}HH", exif, place), place
 
 
 def _as_packet(xmp: object) -> bytes:

@@ -5,8 +5,7 @@ Letters: H W image.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from io import BytesIO
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from telewide.capture.carried import CarriedFacts
+from telewide.capture.exif_block import append_directories
 from telewide.capture.exr_attributes import exr_attributes
 from telewide.errors import UsageError
 from telewide.files import replacing
@@ -23,7 +23,8 @@ from telewide.geometry.arrays import FloatImage
 from telewide.srgb import linear_from_srgb
 
 QUALITY = 95
-_XMP, _BYTE, _ASCII = 700, 1, 2
+_ORIENTATION, _XMP = 274, 700
+_BYTE, _ASCII, _SHORT = 1, 2, 3
 _STRIP_ROWS = 128
 Level = TypeVar("Level", np.uint8, np.uint16)
 _TEXTS = (270, 271, 272, 306, 315, 33432)
@@ -45,11 +46,11 @@ class PictureFacts:
     of_photo: CarriedFacts = field(default_factory=lambda: CarriedFacts({}, {}, {}))
     is_stripped: bool = False
 
-    def exif_bytes(self, *, wh: tuple[int, int]) -> bytes:
+    def exif_bytes(self, *, wh: tuple[int, int] | None) -> bytes:
         """Write EXIF of an upright picture; empty for one that is stripped.
 
         Args:
-            wh: width and height, px.
+            wh: width and height, px; None for a TIFF, which states them elsewhere.
         """
         return b"" if self.is_stripped else self.of_photo.exif_bytes(wh=wh, software=self.software)
 
@@ -65,7 +66,8 @@ def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None
     """Write an upright picture, whole or not at all.
 
     Args:
-        path: ends in .jpg (8 bits, no colour subsampled), .tif (16 bits, deflated) or .exr (linear light, half floats).
+        path: ends in .jpg (8 bits, no colour subsampled), .tif (16 bits, not compressed) or .exr (linear light, half
+            floats).
         image: (H, W, 3) RGB in [0, 1], encoded as the photo's profile says, for EXR as sRGB; values outside are
             clipped, in EXR those below 0 alone.
         facts: what it says of itself.
@@ -73,19 +75,15 @@ def write_picture(path: Path, image: FloatImage, *, facts: PictureFacts) -> None
     Raises:
         UsageError: another suffix, or the place cannot be written.
     """
-    if path.suffix == ".exr":
-        with replacing(path) as temporary:
-            _write_exr(temporary, image, facts)
-        return
-    writers = {".jpg": _jpeg, ".tif": _tiff}
+    writers = {".jpg": _write_jpeg, ".tif": _write_tiff, ".exr": _write_exr}
     if path.suffix not in writers:
-        raise UsageError(f"{path}: a picture is written as {' or '.join((*writers, '.exr'))}")
-    encoded = writers[path.suffix](image, facts)
+        *others, last = writers
+        raise UsageError(f"{path}: a picture is written as {', '.join(others)} or {last}")
     with replacing(path) as temporary:
-        temporary.write_bytes(encoded)
+        writers[path.suffix](temporary, image, facts)
 
 
-def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
+def _write_jpeg(path: Path, image: FloatImage, facts: PictureFacts) -> None:
     told: dict[str, bytes] = {}
     of_photo = facts.of_photo
     if not facts.is_stripped:
@@ -93,9 +91,7 @@ def _jpeg(image: FloatImage, facts: PictureFacts) -> bytes:
         told["xmp"] = of_photo.xmp_packet(software=facts.software, done=facts.done)
     if of_photo.picture_profile is not None:
         told["icc_profile"] = of_photo.picture_profile
-    stream = BytesIO()
-    Image.fromarray(_levels(image, np.uint8)).save(stream, "JPEG", quality=QUALITY, subsampling=0, **told)
-    return stream.getvalue()
+    Image.fromarray(_levels(image, np.uint8)).save(path, "JPEG", quality=QUALITY, subsampling=0, **told)
 
 
 def _levels(image: FloatImage, kind: type[Level]) -> NDArray[Level]:
@@ -117,26 +113,27 @@ def _write_exr(path: Path, image_srgb: FloatImage, facts: PictureFacts) -> None:
     OpenEXR.File(header, {"RGB": light}).write(str(path))
 
 
-def _tiff(image: FloatImage, facts: PictureFacts) -> bytes:
+def _write_tiff(path: Path, image: FloatImage, facts: PictureFacts) -> None:
+    """Write what every reader knows: deflating saves a fifth, and is no part of TIFF 6.0."""
+    told, of_photo = b"", facts.of_photo
     tags: list[tuple[int, int, int, object, bool]] = []
-    of_photo = facts.of_photo
     if not facts.is_stripped:
         packet = of_photo.xmp_packet(software=facts.software, done=facts.done)
-        tags.append((_XMP, _BYTE, len(packet), packet, True))
+        tags += [(_XMP, _BYTE, len(packet), packet, True), (_ORIENTATION, _SHORT, 1, 1, True)]
         texts = {tag: text for tag in _TEXTS if isinstance(text := of_photo.lasting.get(tag), str) and text.isascii()}
         tags.extend((tag, _ASCII, len(text) + 1, text, True) for tag, text in texts.items())
-    stream = BytesIO()
+        told = replace(facts, of_photo=replace(of_photo, lasting={})).exif_bytes(wh=None)
     tifffile.imwrite(
-        stream,
+        path,
         _levels(image, np.uint16),
+        byteorder="<",
         photometric="rgb",
-        compression="adobe_deflate",
-        compressionargs={"level": 1},
-        predictor=True,
-        rowsperstrip=256,
+        rowsperstrip=_STRIP_ROWS,
         software=False if facts.is_stripped else facts.software,
         metadata=None,
         iccprofile=of_photo.picture_profile,
         extratags=tags,
     )
-    return stream.getvalue()
+    if told:
+        with path.open("r+b") as stream:
+            append_directories(stream, told)

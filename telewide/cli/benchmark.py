@@ -39,6 +39,14 @@ RunOption = Annotated[
     list[Path] | None,
     typer.Option("--run", metavar="RUN|FILE", help="Run folder (all its stages) or weights file; may be repeated."),
 ]
+RunOrBoxOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--run",
+        metavar="RUN|FILE",
+        help="Run folder (all its stages) or weights file; may be repeated. [default: the network in the box]",
+    ),
+]
 StepsOption = Annotated[
     int | None, typer.Option(min=1, max=MAX_STEPS, help="Steps of each training instead, all its stages together.")
 ]
@@ -193,19 +201,20 @@ def marks(
 def bokeh(
     captures: Annotated[Path, typer.Argument(help="Folder of the captures.")],
     *,
-    run: RunOption = None,
+    run: RunOrBoxOption = None,
     focus: FocusOption = "auto",
     rig: RigOption = None,
     device: DeviceOption = "auto",
     json_file: JsonFileOption = None,
 ) -> None:
-    """Judge bokeh: specks along outlines, and PSNR on rooms of `telewide simulate --thin-lens`."""
+    """Judge bokeh by sgm and networks: specks along outlines, and PSNR on rooms of `telewide simulate --thin-lens`."""
+    from telewide.assets import BOX_WEIGHTS
     from telewide.benchmark.bokeh import benchmark_bokeh, bokeh_table
     from telewide.benchmark.contenders import all_contenders
     from telewide.bokeh.picture import BokehOptions
 
     sources = run or []
-    contenders = all_contenders(sources, device=device)
+    contenders = all_contenders(sources or [BOX_WEIGHTS], device=device)
     with _run_and_recipe(sources, captures) as (folder, recipe):
         report = benchmark_bokeh(
             captures,

@@ -37,7 +37,8 @@ BladesOption = Annotated[
     ),
 ]
 HighlightsOption = Annotated[
-    float, typer.Option(metavar="TIMES", help="How much brighter than white small clipped lights were; 8, say.")
+    float | None,
+    typer.Option(metavar="TIMES", help="How much brighter than white small clipped lights were; 8, say. [default: 1]"),
 ]
 
 PictureOption = Annotated[
@@ -63,7 +64,7 @@ class BokehWords:
     f35_mm: float | None = None
     strength: str | None = None
     blades: str | None = None
-    highlights: float = 1.0
+    highlights: float | None = None
     picture: str | None = None
     strip: bool = False
     preview: bool = False
@@ -90,7 +91,7 @@ class BokehWords:
         for name, value in (("--f-number", self.f_number), ("--equiv-focal", self.f35_mm)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"{name} {value}: a number above 0 was expected")
-        if not 1 <= self.highlights <= MAX_TIMES:
+        if self.highlights is not None and not 1 <= self.highlights <= MAX_TIMES:
             raise UsageError(f"--highlights {self.highlights}: a factor from 1 to {MAX_TIMES:g} was expected")
         if self.preview and self.picture is not None:
             raise UsageError("--preview writes a small JPEG; --picture names files of the full size")

@@ -65,7 +65,7 @@ def depth(
     f35_mm: EquivFocalOption = None,
     strength: StrengthOption = None,
     blades: BladesOption = None,
-    highlights: HighlightsOption = 1.0,
+    highlights: HighlightsOption = None,
     picture: PictureOption = None,
     strip: StripOption = False,
     preview: PreviewOption = False,

@@ -51,7 +51,7 @@ def run_everything(
     f35_mm: EquivFocalOption = None,
     strength: StrengthOption = None,
     blades: BladesOption = None,
-    highlights: HighlightsOption = 1.0,
+    highlights: HighlightsOption = None,
     picture: PictureOption = None,
     strip: StripOption = False,
     preview: PreviewOption = False,

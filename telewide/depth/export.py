@@ -15,15 +15,17 @@ from pathlib import Path
 from telewide.capture.images import write_image
 from telewide.capture.pictures import PictureFacts
 from telewide.depth.formats.contents import Contents, WrittenDepth
+from telewide.depth.formats.depth_png_file import MM_NAME, write_depth_png
+from telewide.depth.formats.disparity_png_file import PNG_NAME, write_disparity_png
 from telewide.depth.formats.dynamic_depth_file import DYNAMIC_DEPTH_NAME, write_dynamic_depth
 from telewide.depth.formats.exr_file import EXR_NAME, write_exr
 from telewide.depth.formats.gdepth_file import GDEPTH_NAME, write_gdepth
+from telewide.depth.formats.glb_file import GLB_NAME, write_glb
 from telewide.depth.formats.grey_files import GREY16_NAME, GREY_NAME, PHOTO_NAME, write_grey
 from telewide.depth.formats.heif_file import HEIC_NAME, write_heic
 from telewide.depth.formats.numpy_archive import NPZ_NAME, write_npz
 from telewide.depth.formats.pfm_file import PFM_NAME, write_pfm_file
-from telewide.depth.formats.png_files import MM_NAME, PNG_NAME, write_depth_png, write_disparity_png
-from telewide.depth.formats.space_files import GLB_NAME, PLY_NAME, write_glb, write_ply
+from telewide.depth.formats.ply_file import PLY_NAME, write_ply
 from telewide.depth.formats.tiff_file import DEPTH_TIFF_NAME, DISPARITY_TIFF_NAME, write_tiff
 from telewide.depth.preview import preview
 from telewide.depth.result import DepthResult, stood_upright

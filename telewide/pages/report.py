@@ -19,6 +19,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.pages.curves import Curve, curve_svg
 from telewide.pages.numbers import Number, number_text
 from telewide.pages.page import write_page
+from telewide.text import with_options
 
 _THUMBNAIL_QUALITY = 82
 
@@ -49,12 +50,16 @@ class ReportRow:
         pictures: in the order they are shown, such as tele, wide, disparity, bokeh.
         numbers: its line in the table: heading, unit included, to value; None where there is none.
         viewed: what the viewer shows of it, as `telewide.pages.viewed` gathers it; None where it cannot be looked at.
+        notes: sentences about it, doubts first; they name options as messages do.
+        made_by: a sentence on what made its depth.
     """
 
     name: str
     pictures: tuple[Picture, ...] = ()
     numbers: Mapping[str, Number] = field(default_factory=dict)
     viewed: Mapping[str, object] | None = None
+    notes: Sequence[str] = ()
+    made_by: str = ""
 
     @property
     def is_upright(self) -> bool:
@@ -75,6 +80,19 @@ class PageLink:
     name: str
     link: str
     is_this: bool
+
+
+@dataclass(frozen=True)
+class CaptureLink:
+    """A capture in the index of all.
+
+    Attributes:
+        name: of the capture.
+        file: of the page that shows it; empty for the page that shows the link.
+    """
+
+    name: str
+    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -135,6 +153,7 @@ def write_report(
     next_steps: Sequence[NextStep] = (),
     facts: Mapping[str, str] | None = None,
     others: Sequence[PageLink] = (),
+    index: Sequence[CaptureLink] = (),
 ) -> Path:
     """Write the report as one HTML file.
 
@@ -148,6 +167,7 @@ def write_report(
         next_steps: what to do now.
         facts: where the page comes from: version, command, fingerprints.
         others: all pages of the report, where there are several.
+        index: all captures, where they are many.
 
     Returns:
         The path.
@@ -158,14 +178,19 @@ def write_report(
         title=title,
         summary=summary,
         rows=rows,
-        scenes=[_Scene(row.name, row.pictures[0], row.viewed) for row in rows if row.viewed is not None],
+        scenes=[_Scene(row.name, row.pictures[0], _told(row)) for row in rows if row.viewed is not None],
         others=others,
+        index=index,
         table=_table(rows),
         curves=[curve_svg(curve) for curve in curves],
         result=result,
         next_steps=next_steps,
         facts=facts or {},
     )
+
+
+def _told(row: ReportRow) -> dict[str, object]:
+    return {**(row.viewed or {}), "notes": [with_options(note) for note in row.notes], "madeBy": row.made_by}
 
 
 def _table(rows: Sequence[ReportRow]) -> _Table | None:

@@ -26,8 +26,17 @@ from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap
 from telewide.npz import read_npz
 from telewide.pages.curves import Curve
-from telewide.pages.report import NextStep, PageLink, Picture, ReportRow, thumbnail, thumbnail_wh, write_report
-from telewide.pages.viewed import Metric, Opening, viewed_capture
+from telewide.pages.report import (
+    CaptureLink,
+    NextStep,
+    PageLink,
+    Picture,
+    ReportRow,
+    thumbnail,
+    thumbnail_wh,
+    write_report,
+)
+from telewide.pages.viewed import DEFAULT_LIGHTS, Metric, Opening, viewed_capture
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
@@ -35,6 +44,8 @@ from telewide.training.stages import plan_stages
 
 _log = logging.getLogger("telewide")
 CAPTURES_A_PAGE = 12
+MOST_WITHOUT_INDEX = 8
+"""Captures that the strip shows side by side on a screen; of more there is a list."""
 PAGE_NAME = "report.html"
 BOKEH_NAME = "bokeh.jpg"
 _POLICY = b"default-src 'none'; img-src data:"  # stands in the head of every page of any version
@@ -102,7 +113,7 @@ def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Ope
         numbers["blur_per_px"],
         f_number=asked.f_number,
         aperture=asked.aperture,
-        lights=asked.highlights,
+        lights=asked.highlights or DEFAULT_LIGHTS,
     )
 
 
@@ -159,12 +170,11 @@ def write_run_page(
     if any(not is_own_page(file) for file in files):
         return None
     known = iter(rows)
+    shown = [names[start : start + CAPTURES_A_PAGE] for start in starts]
     for at, start in enumerate(starts):
-        shown = [names[start : start + CAPTURES_A_PAGE] for start in starts]
         links = [
             PageLink(f"{some[0]} to {some[-1]}", file.name, file == files[at])
             for some, file in zip(shown, files, strict=True)
-            if len(files) > 1
         ]
         write_report(
             files[at],
@@ -175,9 +185,19 @@ def write_run_page(
             result=result if start == 0 else "",
             next_steps=next_steps,
             facts={"telewide": metadata.version("telewide"), **facts},
-            others=links,
+            others=links if len(files) > 1 else (),
+            index=_index(shown, files, page=files[at]) if len(names) > MOST_WITHOUT_INDEX else (),
         )
     return files[0]
+
+
+def _index(shown: Sequence[Sequence[str]], files: Sequence[Path], *, page: Path) -> list[CaptureLink]:
+    """Links of one page to the captures of all."""
+    return [
+        CaptureLink(name, "" if file == page else file.name)
+        for names, file in zip(shown, files, strict=True)
+        for name in names
+    ]
 
 
 def is_own_page(path: Path) -> bool:

@@ -22,6 +22,7 @@ from telewide.pages.run_page import (
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
 from telewide.stages.lying_depth import LyingDepth, lying_depths, names_lying
+from telewide.stages.provenance import facts_of_call, made_by, notes_of
 from telewide.stages.training_result import read_result
 
 
@@ -66,7 +67,7 @@ def _written(
         summary=summary,
         next_steps=steps,
         result="" if trained is None else f"Its result: {trained.told}.",
-        facts={"captures": str(call.captures.root), "command": call.invocation.again()},
+        facts=facts_of_call(call),
     )
     if page is None:
         call.observer.warned(f"{root / PAGE_NAME} is not a page of telewide's, so it is left as it is: no report")
@@ -115,7 +116,7 @@ def _rows(
     made = [LyingDepth(captures[one.name], {**one.numbers}, rotated_deg, bokeh) for one in done.outcomes]
     for shown in sorted((*made, *others), key=lambda one: one.capture.name):
         name = shown.capture.name
-        yield report_row(
+        row = report_row(
             read_photos(shown.capture, read=call.photos.read if name in captures else read_image),
             done.folder / name,
             root=root,
@@ -123,4 +124,9 @@ def _rows(
             rotated_deg=shown.rotated_deg,
             corrected=call.folder.pairs / name,
             bokeh_asked=shown.bokeh,
+        )
+        yield replace(
+            row,
+            notes=notes_of(name, depth=done.folder / name, pair=call.folder.pairs / name),
+            made_by=made_by(done.folder / name, run_weights=call.folder.weights),
         )

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import time
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -124,6 +125,8 @@ def test_a_stripped_picture_says_nothing_but_its_colours(tmp_path: Path, photo: 
         assert not {"EXIF:Make", "EXIF:Model", "EXIF:Software", "EXIF:LensModel"} & set(told)
         with Image.open(tmp_path / name) as read:
             assert read.info["icc_profile"] == PROFILE
+            assert not {34665, 34853} & set(read.getexif())
+        assert told_by_exiftool(tmp_path / name, "-validate")["ExifTool:Validate"] == "0 0 0"
     with Image.open(tmp_path / "bokeh.jpg") as read:
         assert not read.getexif()
 
@@ -138,6 +141,50 @@ def test_a_tiff_has_sixteen_bits(tmp_path: Path, photo: Path, image: np.ndarray)
         tags = read.pages[0].tags
         assert (tags[271].value, tags[305].value, tags[34675].value) == ("Maker", "telewide 9", PROFILE)
         assert b"blurred" in tags[700].value
+
+
+def test_a_tiff_has_the_exif_of_its_photo_by_pillow_and_tifffile(tmp_path: Path, photo: Path) -> None:
+    """Of a picture with an odd number of bytes behind its tags, too."""
+    for height in (3, 4):
+        facts = PictureFacts(software="telewide 9", of_photo=read_carried(photo))
+        write_picture(tmp_path / "bokeh.tif", np.full((height, 5, 3), 0.25, np.float32), facts=facts)
+        with Image.open(photo) as picture:
+            stated = picture.getexif()
+            exif_stated, gps_stated = stated.get_ifd(34665), stated.get_ifd(34853)
+        with tifffile.TiffFile(tmp_path / "bokeh.tif") as by_tifffile:
+            (page,) = by_tifffile.pages
+            assert [tag.code for tag in page.tags] == sorted(tag.code for tag in page.tags)
+            assert page.tags[274].value == 1
+            assert page.tags[34665].value["LensModel"] == exif_stated[42036]
+            assert (page.asarray() == 16384).all()
+        exif = Image.Exif()
+        with (tmp_path / "bokeh.tif").open("rb") as stream:
+            exif.load_from_fp(stream)
+            told, gps_told = exif.get_ifd(34665), exif.get_ifd(34853)
+        kept = set(exif_stated) - {37500, 37396}
+        assert {tag: told[tag] for tag in kept} == {tag: exif_stated[tag] for tag in kept}
+        assert {tag: gps_told[tag] for tag in gps_stated} == dict(gps_stated)
+        assert (exif[271], exif[305]) == ("Maker", "telewide 9")
+
+
+@needs_exiftool
+@pytest.mark.parametrize("states_method", [False, True])
+def test_exiftool_has_nothing_against_a_tiff(
+    tmp_path: Path, photo: Path, image: np.ndarray, *, states_method: bool
+) -> None:
+    """It asks a TIFF how its place was found: what the photo does not say of that is not made up."""
+    facts = PictureFacts(software="telewide 9", done="blurred", of_photo=read_carried(photo))
+    if states_method:
+        gps = {**facts.of_photo.gps, 27: b"ASCII\0\0\0GPS"}
+        facts = replace(facts, of_photo=replace(facts.of_photo, gps=gps))
+    write_picture(tmp_path / "bokeh.tif", image, facts=facts)
+    told, of_photo = told_by_exiftool(tmp_path / "bokeh.tif"), told_by_exiftool(photo)
+    kept = ("Make", "DateTimeOriginal", "ExposureTime", "SceneType", "LensModel", "LensInfo", "GPSLatitude")
+    for name in (f"EXIF:{name}" for name in (*kept, "GPSLongitude", "ShutterSpeedValue", "ExposureCompensation")):
+        assert told[name] == of_photo[name], name
+    assert told["EXIF:Orientation"] == 1
+    warnings = told_by_exiftool(tmp_path / "bokeh.tif", "-validate", "-warning", "-a").get("ExifTool:Warning")
+    assert warnings == (None if states_method else "Missing required TIFF GPS tag 0x001b GPSProcessingMethod")
 
 
 @pytest.mark.parametrize("name", ["bokeh.jpg", "bokeh.tif"])
@@ -222,6 +269,6 @@ def test_what_is_no_packet_is_not_carried(tmp_path: Path, image: np.ndarray, xmp
 
 
 def test_another_kind_of_file_is_refused(tmp_path: Path, image: np.ndarray) -> None:
-    with pytest.raises(UsageError, match=r"\.jpg or \.tif"):
+    with pytest.raises(UsageError, match=r"\.jpg, \.tif or \.exr"):
         write_picture(tmp_path / "bokeh.png", image, facts=PictureFacts())
     assert list(tmp_path.iterdir()) == []

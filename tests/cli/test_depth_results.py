@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from PIL import Image
 from rig_worlds import phone_rig, photos_of_a_plane
 
 from telewide.calibration.quality import CalibrationQuality
@@ -22,6 +23,8 @@ from telewide.errors import QualityError
 from telewide.simulate.captures import write_captures
 from telewide.stages.capture_depth import DepthOutcome
 from telewide.stages.depth import DepthRun
+
+VIEWS = ("tele", "wide")
 
 
 def run_of(*withheld: str | None) -> DepthRun:
@@ -75,6 +78,36 @@ def test_a_known_distance_gives_an_aperture_to_a_rig_of_unknown_scale(tmp_path: 
         codes.append(left.value.code or 0)
     assert codes == [2, 0]
     assert (tmp_path / "run" / "depth" / "one" / "bokeh.jpg").is_file()
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_a_distance_counts_on_the_photo_that_exif_turns(
+    tmp_path: Path, rng: np.random.Generator, orientation: int
+) -> None:
+    """The point lies far from where the sensor's own columns and rows would have it, by 6 and 8 outside of them."""
+    rig, at_px, distance_m = phone_rig(width_px=320), (300, 25), 1.7
+    quality = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
+    photos = {
+        view: np.round(255 * p).astype(np.uint8) for view, p in zip(VIEWS, photos_of_a_plane(rig, rng), strict=True)
+    }
+    depths_m = []
+    for name, stated, n_turns in (("upright", 1, 0), ("turned", orientation, {3: 2, 6: 1, 8: 3}[orientation])):
+        folder, exif = tmp_path / name / "captures", Image.Exif()
+        (folder / "one").mkdir(parents=True)
+        exif[274] = stated
+        for view, photo in photos.items():
+            Image.fromarray(np.rot90(photo, k=n_turns)).save(folder / "one" / f"{view}.png", exif=exif)
+        write_stored_rig(folder / "rig.yaml", StoredRig(rig, None, None, None, quality, RigFacts()))
+        words = ("depth", str(folder), "--run", str(tmp_path / name / "run"), "--method", "sgm")
+        with pytest.raises(SystemExit) as left:
+            main((*words, "--distance", f"{at_px[0]},{at_px[1]},{distance_m}"))
+        assert not left.value.code
+        with np.load(tmp_path / name / "run" / "depth" / "one" / "depth.npz") as made:
+            depths_m.append(made["depth_m"])
+            ray = np.linalg.solve(made["K"], [*at_px, 1.0])
+    np.testing.assert_array_equal(*depths_m)
+    found_m = np.median(depths_m[1][at_px[1] - 2 : at_px[1] + 3, at_px[0] - 2 : at_px[0] + 3]) * np.linalg.norm(ray)
+    assert 1.6 < found_m < distance_m, "drawn from the 1.5 m that the rig sees; how far, its deviation says"
 
 
 def test_files_that_are_asked_for_by_name(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -14,8 +14,8 @@ from rigs import phone
 from telewide.capture.facts import CaptureFacts
 from telewide.capture.pfm import read_pfm
 from telewide.depth.export import write_depth
+from telewide.depth.formats.disparity_png_file import png_from_disparity
 from telewide.depth.formats.numpy_archive import read_disparity
-from telewide.depth.formats.png_files import png_from_disparity
 from telewide.depth.result import DepthResult, depth_result, depth_result_of_rig
 from telewide.errors import InputError
 from telewide.geometry.arrays import FloatMap

@@ -14,11 +14,13 @@ import pytest
 from telewide.capture.images import write_image
 from telewide.capture.pair import PhotoPair
 from telewide.cli import main
+from telewide.cli.bokeh import BokehWords
 from telewide.depth.export import write_depth
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.run_page import next_steps, report_row, training_curves
+from telewide.pages.viewed import DEFAULT_LIGHTS
 from telewide.recipe import Recipe, load_recipe
 from telewide.text import Invocation
 
@@ -108,6 +110,25 @@ def test_pixels_of_two_sizes_are_told_apart(tmp_path: Path, rng: np.random.Gener
     matched, photos = row.numbers
     assert "px of the matched size" in matched
     assert "px of the photo" in photos
+
+
+@pytest.mark.parametrize(("stated", "shown"), [(None, DEFAULT_LIGHTS), (1.0, 1.0), (8.0, 8.0)])
+def test_lights_shine_on_the_page_unless_somebody_said_how_bright(
+    tmp_path: Path, rng: np.random.Generator, stated: float | None, shown: float
+) -> None:
+    """A value that was stated counts, though it be the one that files are made with by default."""
+    photo = rng.random((60, 80, 3)).astype(np.float32)
+    disparity_px = np.tile(np.linspace(2, 9, 80, dtype=np.float32), (60, 1))
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), disparity_px > 0)
+    write_depth(tmp_path / "one", DepthResult("one", maps), image=photo)
+    numbers = {"focus_px": 9.0, "focus_x_px": 79.0, "focus_y_px": 30.0, "blur_per_px": 1.0}
+    words = {} if stated is None else {"highlights": stated}
+    asked = BokehWords(**words).options()
+    row = report_row(
+        PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers=numbers, bokeh_asked=asked
+    )
+    assert row.viewed is not None
+    assert (row.viewed["focus"], row.viewed["lights"]) == ([79, 30], shown)
 
 
 def test_guesses_look_hatched_on_the_page_whatever_the_size_of_the_photo(tmp_path: Path) -> None:

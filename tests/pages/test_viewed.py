@@ -22,7 +22,7 @@ from telewide.bokeh.render import radius_per_px_from_f_number
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
 from telewide.pages.report import ReportRow, thumbnail, write_report
-from telewide.pages.run_page import CAPTURES_A_PAGE, write_run_page
+from telewide.pages.run_page import CAPTURES_A_PAGE, MOST_WITHOUT_INDEX, write_run_page
 from telewide.pages.viewed import LONGEST_PX, STEPS, Metric, Opening, viewed_capture
 
 BOX = np.s_[20:40, 30:60]
@@ -194,7 +194,19 @@ def test_many_captures_are_shown_on_several_pages_that_lead_to_each_other(tmp_pa
     for number, text in enumerate(texts[name] for name in sorted(texts, key=lambda n: (len(n), n))):
         assert all(f'href="{name}"' in text for name in texts)
         shown = re.findall(r"<h3>(\d+)</h3>", text)
+        links = re.findall(r'<a href="(report[-\d]*.html)?#capture-(\d+)">(\d+)</a>', text)
+        assert [name for _, _, name in links] == names, "an index of all, each with its place"
+        for file, at, name in links:
+            assert at == name
+            assert f'id="capture-{name}"' in (texts[file] if file else text)
         assert shown == names[number * CAPTURES_A_PAGE : (number + 1) * CAPTURES_A_PAGE]
+
+
+def test_an_index_is_only_of_more_captures_than_the_strip_shows(tmp_path: Path) -> None:
+    for count, has_index in ((MOST_WITHOUT_INDEX, False), (MOST_WITHOUT_INDEX + 1, True)):
+        page = pages(tmp_path, [f"{k:03d}" for k in range(count)])
+        assert page is not None
+        assert ("#capture-000" in page.read_text(encoding="utf-8")) == has_index
 
 
 @pytest.mark.parametrize("content", ["<html>my own notes</html>", ""])

@@ -21,14 +21,16 @@ from PIL import Image
 
 from telewide.bokeh.aperture import Aperture
 from telewide.bokeh.focus import Focus
+from telewide.bokeh.hidden import COUNT, JUMP
 from telewide.bokeh.render import radius_per_px_from_f_number, render_bokeh
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
-from telewide.pages.report import NextStep, ReportRow, thumbnail, write_report
+from telewide.pages.report import CaptureLink, NextStep, ReportRow, thumbnail, write_report
 from telewide.pages.viewed import Metric, Opening, viewed_capture
 from telewide.srgb import srgb_from_linear
 
 SIDE = 128
+SIDES = ("width", "height")
 METRIC = Metric(scale_px_m=12.0, doffs_px=2.0, baseline_m=0.02)
 DONE = "canvas[data-done='1']"
 pytestmark = pytest.mark.slow
@@ -227,8 +229,12 @@ def test_looking_around_moves_what_is_near_against_what_is_far(opened: Any) -> N
         opened.click("#views button[value=around]")
     straight = pixels(opened)
     box = opened.locator("canvas").bounding_box()
+    opened.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    opened.mouse.down()
     with drawn_anew(opened):
-        opened.locator("canvas").click(position={"x": box["width"] - 1, "y": box["height"] / 2})
+        opened.mouse.move(box["x"] + box["width"] - 1, box["y"] + box["height"] / 2, steps=5)
+    opened.mouse.up()
+    assert opened.evaluate("getSelection().type") != "Range"
     apart = np.abs(pixels(opened) - straight).mean(axis=2)
     far = cv2.erode((disparity_px == disparity_px.min()).astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
     assert apart[far].mean() < 0.01 < apart[disparity_px == disparity_px.max()].mean()
@@ -244,11 +250,142 @@ def test_comparing_shows_two_pictures_that_meet_where_the_slider_stands(opened: 
     assert sources[0] != sources[1]
 
 
+@pytest.mark.parametrize("view", ["tele", "disparity"])
+def test_dragging_anywhere_on_the_picture_moves_the_line_and_selects_nothing(opened: Any, view: str) -> None:
+    """At the top of the picture, far from the slider's handle; let go, it stays; the keys go on from there."""
+    opened.click("#views button[value=compare]")
+    opened.select_option("#left", view)
+    box = opened.locator(".stage").bounding_box()
+
+    def line() -> float:
+        over = opened.locator("#over").evaluate("(e) => getComputedStyle(e).clipPath")
+        return 100 - float(over.split("px ")[1].split("%")[0])
+
+    opened.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.1 * box["height"])
+    opened.mouse.down()
+    for share in (0.6, 0.4, 0.2):
+        opened.mouse.move(box["x"] + share * box["width"], box["y"] + 0.3 * box["height"], steps=4)
+        assert line() == pytest.approx(100 * share, abs=0.6)
+    opened.mouse.move(box["x"] - 40, box["y"] + 0.3 * box["height"])
+    assert line() == 0, "beyond the picture it is held"
+    opened.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.9 * box["height"])
+    opened.mouse.up()
+    opened.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 0.3 * box["height"])
+    assert line() == pytest.approx(30, abs=0.6)
+    assert opened.evaluate("getSelection().type") != "Range"
+    opened.keyboard.press("ArrowRight")
+    assert line() == pytest.approx(30.5, abs=0.6)
+
+
+def test_a_finger_wipes_too_and_scrolls_by_going_down(tmp_path: Path) -> None:
+    """Moved by the browser's own touches, which it keeps to itself where a page does not forbid it."""
+    path, _ = page_of(tmp_path, metric=None)
+    with page_in_browser(path, wh=(390, 844), has_touch=True) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        page.click("#views button[value=compare]")
+        box = page.locator(".stage").bounding_box()
+        touch = page.context.new_cdp_session(page)
+
+        def drag(to: tuple[float, float]) -> float:
+            for step in range(9):
+                x, y = (box[a] + box[s] * (0.5 + (t - 0.5) * step / 8) for a, s, t in zip("xy", SIDES, to, strict=True))
+                kind = "touchMove" if step else "touchStart"
+                touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}]})
+            touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            page.wait_for_timeout(300)
+            return float(page.evaluate("scrollY"))
+
+        assert drag((0.9, 0.5)) == 0
+        assert page.evaluate("Number(document.getElementById('divider').value)") == pytest.approx(90, abs=1)
+        assert drag((0.5, 0.1)) > 50
+
+
+def test_comparing_reads_the_place_under_the_pointer(opened: Any) -> None:
+    """The map says what the click in the photo says; the wide photo has its points elsewhere and says nothing."""
+    _, disparity_px = world()
+    x, y = place_of(disparity_px, disparity_px.max())
+    opened.click("#views button[value=compare]")
+    box = opened.locator(".stage").bounding_box()
+    at = [box[a] + (k + 0.5) * box[side] / SIDE for a, k, side in zip("xy", (x, y), SIDES, strict=True)]
+    told = {}
+    for view in ("disparity", "wide"):
+        for side in ("left", "right"):
+            opened.select_option(f"#{side}", view)
+        opened.mouse.move(*at)
+        told[view] = opened.inner_text("#readout")
+    metres = METRIC.scale_px_m / (float(disparity_px[y, x]) + METRIC.doffs_px)
+    assert told["disparity"] == f"x {x}, y {y} · {disparity_px[y, x]:.1f} px · {metres:.2f} m · confidence 90 %"
+    assert told["wide"] == "Distances are read over tele, bokeh and disparity."
+
+
+def test_depth_edges_are_drawn_where_depth_jumps(opened: Any) -> None:
+    """Orange on the near side of each jump by more than the renderer takes for one surface, and nowhere else."""
+    _, disparity_px = world()
+    before = pixels(opened)
+    with drawn_anew(opened):
+        opened.check("#edges")
+    shown = pixels(opened)
+    is_orange = np.abs(shown - [1.0, 0.45, 0.1]).max(axis=2) < 0.01
+    assert not (np.abs(before - [1.0, 0.45, 0.1]).max(axis=2) < 0.01).any()
+    step_px = (disparity_px.max() - disparity_px.min()) / (COUNT - 1)
+    around = np.ones((3, 3), np.uint8)
+    drop_px = disparity_px - cv2.erode(disparity_px, around)
+    assert is_orange[
+        np.asarray(drop_px > (JUMP + 2) * step_px) & _beside_in_row(disparity_px, (JUMP + 2) * step_px)
+    ].all()
+    assert is_orange.sum() > 100
+    assert not is_orange[drop_px < (JUMP - 1) * step_px].any()
+    opened.uncheck("#edges")
+    opened.wait_for_selector(DONE, timeout=120_000)
+    np.testing.assert_allclose(pixels(opened), before, atol=0.02)
+
+
+def _beside_in_row(disparity_px: FloatMap, least_px: float) -> np.ndarray:
+    """Whether the neighbour on the left or on the right is farther by so much."""
+    falls = np.zeros(disparity_px.shape, np.bool_)
+    falls[:, :-1] |= disparity_px[:, :-1] - disparity_px[:, 1:] > least_px
+    falls[:, 1:] |= disparity_px[:, 1:] - disparity_px[:, :-1] > least_px
+    return falls
+
+
 def test_the_strip_changes_the_capture(opened: Any) -> None:
     second = opened.locator("#strip button").nth(1)
     second.click()
     opened.wait_for_function("document.querySelectorAll('#strip [aria-current=true]').length === 1")
     assert second.get_attribute("aria-current") == "true"
+
+
+def test_the_index_leads_to_captures_and_their_notes(tmp_path: Path) -> None:
+    """A name that an address has to spell out; a link from another page; a note that is no markup."""
+    photo, disparity_px = world()
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+    names = ["a", "Caf\u00e9 & b/c #1", "left"]
+    rows = []
+    for name in names:
+        told = viewed_capture(photo, maps, others={}, metric=None, name=name)
+        notes, made = (f"see `rig` <b>{name}</b>",), f"Matched by {name}."
+        rows.append(ReportRow(name, (thumbnail("tele", photo),), {}, told, notes=notes, made_by=made))
+    index = [CaptureLink(name) for name in names]
+    path = write_report(tmp_path / "report.html", rows, title="Page", index=index)
+    with page_in_browser(path) as page:
+        page.wait_for_selector(DONE, timeout=120_000)
+        for name in (names[1], names[2], names[1]):
+            with drawn_anew(page):
+                page.click(f".index a:has-text('{name}')")
+            assert page.inner_text("#name") == name
+            assert page.locator(".index a[aria-current=true]").all_inner_texts() == [name]
+            assert page.inner_text("#notes") == f"see --rig <b>{name}</b>"
+            assert page.inner_text("#madeBy") == f"Matched by {name}."
+            if name == names[2]:
+                page.locator("#strip button").first.click()
+                page.wait_for_function("document.getElementById('name').textContent === 'a'")
+                page.wait_for_selector(DONE, timeout=120_000)
+        address = page.url
+        page.goto("about:blank")
+        page.goto(address)
+        page.wait_for_selector(DONE, timeout=120_000)
+        assert page.inner_text("#name") == names[1]
+        page.goto(path.as_uri())
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from capture.profiles import DISPLAY_P3, matrix_profile
 from capture.roll import DATE, EXIF_IFD, MODEL, ORIENTATION, TELE, exif_of, write_photo
-from PIL import Image, ImageCms
+from PIL import Image, ImageCms, ImageOps
 from PIL.TiffImagePlugin import IFDRational
 
 from telewide.capture.carried import read_carried
@@ -22,6 +22,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
+from telewide.srgb import linear_from_srgb
 from telewide.stages.capture_depth import DepthOutcome, depth_of_capture
 
 GPS_IFD = 0x8825
@@ -137,6 +138,30 @@ def test_heic_keeps_the_colours_of_a_wider_profile(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.asarray(heic).mean(axis=(0, 1)), RED, atol=4)
     with Image.open(run / "photo.jpg") as picture:
         assert np.asarray(picture).mean(axis=(0, 1))[0] > RED[0] + 8
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_files_for_3d_programs_of_a_photo_that_exif_turns_stand_upright(tmp_path: Path, orientation: int) -> None:
+    """What lies right of the middle of the upright photo is near, at positive x, whichever way the sensor was held."""
+    OpenEXR = pytest.importorskip("OpenEXR", reason="the extra exr is not installed")
+    trimesh = pytest.importorskip("trimesh", reason="the extra mesh is not installed")
+    run = depth_files(tmp_path, formats=("npz", "exr", "ply", "glb"), orientation=orientation)
+    height, width = (72, 96) if orientation == 3 else (96, 72)
+    with OpenEXR.File(str(run / "depth.exr")) as file:
+        depth_m, shown = (np.array(file.channels()[name].pixels) for name in ("Z", "RGB"))
+    with Image.open(tmp_path / "one" / "tele.jpg") as photo:
+        upright = linear_from_srgb(np.asarray(ImageOps.exif_transpose(photo)).astype(np.float32) / 255)
+    np.testing.assert_allclose(shown, upright, atol=0.01)
+    assert depth_m.shape == (height, width)
+    near_m, far_m = depth_m[:, -1].max(), depth_m[:, 0].min()
+    assert near_m < 0.5 * far_m
+    (mesh,) = trimesh.load(run / "mesh.glb").geometry.values()
+    assert mesh.visual.material.baseColorTexture.size == (width, height)
+    for at_m in (np.asarray(trimesh.load(run / "points.ply").vertices), np.asarray(mesh.vertices) * [1, -1, -1]):
+        is_near = np.isclose(at_m[:, 2], near_m, rtol=1e-4)
+        assert at_m[is_near, 0].min() > -0.02 * near_m
+        assert at_m[~is_near, 0].max() < 0.02 * far_m
+        assert np.ptp(at_m[~is_near, 1]) / far_m == pytest.approx((height - 1) / 90, rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["bokeh", "depth"])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import html
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 from rig_worlds import phone_rig, photos_of_a_plane
 
+from telewide.assets import BOX_WEIGHTS as BOX
 from telewide.bokeh.picture import BokehOptions
 from telewide.calibration.quality import CalibrationQuality, Check
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
@@ -20,6 +24,7 @@ from telewide.capture.images import write_image
 from telewide.cli import main
 from telewide.stages.kept_depth import OF_SET, KeptDepth, of_set, read_kept, write_kept
 from telewide.stages.lying_depth import lying_depths, names_lying
+from telewide.stages.provenance import made_by, notes_of
 
 Said = Callable[..., str]
 QUALITY = CalibrationQuality(0.1, 0.1, 0.1, 0.2, 0.3, 0.1, checks=(), verdict="good")
@@ -140,6 +145,47 @@ def test_a_bokeh_that_was_not_stripped_is_named_beside_stripped_files(folder: Pa
     assert "still there" not in said(*one, "--bokeh", "--strip")
     assert "still there" not in said(*one, "--format", "grey", "--strip"), "it is stripped as well"
     assert (folder / "run" / "depth" / "002" / "bokeh.jpg").is_file()
+
+
+def test_the_page_says_what_made_each_depth_and_what_was_said_of_it(folder: Path, said: Said) -> None:
+    """Fingerprints are those of the files, by hashlib; a doubt about photos is told with their capture alone."""
+    pair = folder / "run" / "pairs" / "001" / "pair.json"
+    doubted = json.loads(pair.read_text())
+    doubted["report"]["reasons"] = ["its rows lie apart, see `rig`"]
+    told = said("captures", "--bokeh", "--focus", "near")
+    page = (folder / "run" / "report.html").read_text()
+    focused = re.findall(r"(00\d): (bokeh is focused on x .*? px )", told)
+    assert len(focused) == 3
+    for _, words in focused:
+        assert page.count(html.escape(words)) >= 1, "with the pictures"
+    assert page.count("Matched by sgm, telewide") == 6, "of each capture, to read and to look at"
+    rig = hashlib.sha256((folder / "captures" / "rig.yaml").read_bytes()).hexdigest()[:12]
+    assert f"rig.yaml, good, {rig}" in page
+    assert re.search(r"<dt>written</dt><dd>20\d\d-\d\d-\d\d \d\d:\d\d UTC</dd>", page)
+    pair.write_text(json.dumps(doubted))
+    notes = {name: notes_of(name, depth=folder / "run" / "depth" / name, pair=pair.parent) for name in ("001", "002")}
+    assert notes["001"][0] == "its rows lie apart, see `rig`"
+    assert notes["001"][-1].startswith("bokeh is focused on")
+
+
+@pytest.mark.parametrize("weights", ["box", "run", "other"])
+def test_weights_are_named_by_their_place_and_their_fingerprint(folder: Path, weights: str) -> None:
+    run_weights = folder / "run" / "train" / "weights.safetensors"
+    run_weights.parent.mkdir()
+    run_weights.write_bytes(b"trained")
+    stamps = {
+        name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in (("box", BOX), ("run", run_weights))
+    }
+    stamp = stamps.get(weights, "0" * 64)
+    kept = folder / "run" / "depth" / "000" / "depth.json"
+    record = json.loads(kept.read_text())
+    record["key"]["matcher"] = f"network {stamp}"
+    kept.write_text(json.dumps(record))
+    named = {"box": "the one that comes with telewide", "run": "trained here"}.get(weights, "other weights")
+    told = made_by(kept.parent, run_weights=run_weights)
+    assert told == f"Matched by network ({named}, {stamp[:12]}), telewide {record['key']['version']}."
+    kept.write_text("cut off")
+    assert made_by(kept.parent, run_weights=run_weights) == ""
 
 
 def test_depth_of_former_calls_is_shown_as_it_was_asked_for(folder: Path, said: Said) -> None:

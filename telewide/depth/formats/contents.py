@@ -11,12 +11,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from telewide.capture.pictures import PictureFacts
 from telewide.depth.edges import fill_unknown
 from telewide.depth.result import DepthResult
+from telewide.files import replacing
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
 
+LARGEST_OF_16_BITS = 65535
 NO_METRES = "its depth in metres is not known"
 
 
@@ -151,3 +154,28 @@ def _rays(at_px: FloatMap, K: FloatArray, distortion: FloatArray | None) -> Floa
 def levels(values: FloatMap, *, bits: int) -> FloatMap:
     """Round values in [0, 1] to whole levels of 8 or 16 bits."""
     return np.asarray(np.round(np.clip(values, 0, 1) * np.float32(2**bits - 1)), dtype=np.float32)
+
+
+def sixteen_bits(values: FloatMap, *, steps: int, below: float) -> NDArray[np.uint16]:
+    """Encode a map in steps of its unit, in 16 bits; 0 where a value is unknown, or not above 0 and below a limit.
+
+    Args:
+        values: (H, W), NaN where unknown.
+        steps: for one unit.
+        below: limit, in the unit.
+
+    Returns:
+        (H, W) uint16; a known value never becomes 0.
+    """
+    holds = np.isfinite(values) & (values > 0) & (values < below)
+    rounded = np.round(np.where(holds, values, 0).astype(np.float64) * steps)
+    return np.where(holds, np.clip(rounded, 1, LARGEST_OF_16_BITS), 0).astype(np.uint16)
+
+
+def written_whole(path: Path, encoded: object) -> WrittenDepth:
+    """Write what a library has encoded, whole or not at all."""
+    if not isinstance(encoded, bytes):  # as trimesh may return other formats
+        raise TypeError(f"{path.name} was encoded as {type(encoded).__name__}")
+    with replacing(path) as temporary:
+        temporary.write_bytes(encoded)
+    return WrittenDepth((path,))

@@ -5,7 +5,7 @@ const root = document.getElementById("viewer");
 const scenes = [...document.querySelectorAll("script[data-scene]")];
 if (!root || !scenes.length) return;
 const byId = (id) => document.getElementById(id);
-const canvas = byId("picture");
+const canvas = byId("picture"), stage = root.querySelector(".stage"), pair = root.querySelector(".stage .comparing");
 const LEAST = 192, MOST = 960, FIRST = 8; // lens points of a finished picture, more of a large blur; of the first frame
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) * 2.0 - 1.0, 0, 1); }`;
@@ -73,6 +73,13 @@ void main() {
   }
   colour = vec4(srgb, 1);
 }`;
+
+// The index leads to captures of this page: #capture-name.
+const links = [...document.querySelectorAll('.index a[href^="#"]')];
+function nameIn(hash) {
+  try { return decodeURIComponent(hash.replace(/^#capture-/, "")); } catch { return ""; }
+}
+const sceneNamed = (name) => scenes.findIndex((each) => each.dataset.scene === name);
 
 let gl = null, depth = null, programs = null, scene = null, state = null, waiting = 0;
 
@@ -191,6 +198,9 @@ async function open(index) {
     each.setAttribute("aria-current", String(k === index));
   byId("name").textContent = told.name;
   byId("extent").textContent = extent();
+  byId("notes").replaceChildren(...told.notes.map((note) => { const line = document.createElement("p"); line.textContent = note; return line; }));
+  byId("madeBy").textContent = told.madeBy;
+  for (const each of links) each.setAttribute("aria-current", String(nameIn(each.hash) === told.name));
   for (const side of ["left", "right"]) choices(byId(side), side === "left" ? "tele" : "disparity");
   setSliders();
   aperture();
@@ -358,7 +368,7 @@ function focusAt(x, y) {
 }
 
 function pixelOf(event) {
-  const box = canvas.getBoundingClientRect(), wh = scene.told.wh;
+  const box = stage.getBoundingClientRect(), wh = scene.told.wh;
   const held = (value, most) => Math.min(Math.max(Math.floor(value), 0), most - 1);
   return [held((event.clientX - box.left) / box.width * wh[0], wh[0]), held((event.clientY - box.top) / box.height * wh[1], wh[1])];
 }
@@ -403,6 +413,30 @@ function compare() {
   divide();
 }
 function divide() { root.style.setProperty("--cut", `${byId("divider").value}%`); }
+function wipe(event) {
+  const box = stage.getBoundingClientRect();
+  byId("divider").value = 100 * (event.clientX - box.left) / box.width;
+  divide();
+}
+// Only some of the pictures have their points where the photo has them.
+const READ = ["tele", "bokeh", "disparity"];
+function readUnder(event) {
+  const box = stage.getBoundingClientRect(), isLeft = (event.clientX - box.left) / box.width < byId("divider").value / 100;
+  if (READ.includes(byId(isLeft ? "left" : "right").value)) readOut(...pixelOf(event));
+  else byId("readout").textContent = "Distances are read over tele, bokeh and disparity.";
+}
+pair.addEventListener("pointerdown", (event) => {
+  if (event.button) return;
+  pair.setPointerCapture(event.pointerId);
+  byId("divider").focus({ preventScroll: true });
+  wipe(event);
+  readUnder(event);
+});
+pair.addEventListener("pointermove", (event) => {
+  if (pair.hasPointerCapture(event.pointerId)) wipe(event);
+  readUnder(event);
+});
+pair.addEventListener("pointerleave", () => readOut(...state.at));
 for (const id of ["left", "right"]) byId(id).addEventListener("change", compare);
 byId("divider").addEventListener("input", divide);
 
@@ -415,9 +449,11 @@ function show(view) {
 for (const each of document.querySelectorAll("#views button")) each.addEventListener("click", () => show(each.value));
 for (const [k, each] of document.querySelectorAll("#strip button").entries()) each.addEventListener("click", () => open(k));
 
-// A link to one of many captures: report.html#name.
-const named = decodeURIComponent(location.hash.slice(1));
-const first = Math.max(scenes.findIndex((each) => each.dataset.scene === named), 0);
+for (const each of links) each.addEventListener("click", () => {
+  const index = sceneNamed(nameIn(each.hash));
+  if (scene && index >= 0) open(index);
+});
+const first = Math.max(sceneNamed(nameIn(location.hash)), 0);
 if (!start()) { byId("lack").hidden = false; root.dataset.view = "none"; return; }
 document.documentElement.dataset.live = "1";
 open(first).then(() => show("focus"));

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from telewide.capture.facts import CaptureFacts
@@ -23,6 +26,18 @@ def made_result(*, has_metres: bool = True) -> DepthResult:
     disparity = DisparityMap(disparity_px, np.full(HW, 0.75, np.float32), valid)
     facts = CaptureFacts(f_px=F_PX, baseline_m=BASELINE_M) if has_metres else None
     return depth_result("shot", disparity, facts=facts)
+
+
+def turned_result(rotated_deg: int) -> DepthResult:
+    """Depth of the scene by photos that were turned counter-clockwise."""
+    seen, facts = made_result().disparity, CaptureFacts(f_px=F_PX, baseline_m=BASELINE_M)
+    maps = (turned(values, rotated_deg) for values in (seen.disparity_px, seen.confidence, seen.valid))
+    return replace(depth_result("shot", DisparityMap(*maps), facts=facts), rotated_deg=rotated_deg)
+
+
+def turned(values: Any, rotated_deg: int) -> Any:
+    """Turn a map or a photo counter-clockwise."""
+    return np.ascontiguousarray(np.rot90(values, k=rotated_deg // 90))
 
 
 def made_photo() -> FloatMap:

@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
-from depth.formats.made_depth import BASELINE_M, BOX, HW, SKY, WALL, depth_m, made_photo, made_result
+from depth.formats.made_depth import (
+    BASELINE_M,
+    BOX,
+    HW,
+    SKY,
+    WALL,
+    depth_m,
+    made_photo,
+    made_result,
+    turned,
+    turned_result,
+)
 from PIL import Image
 
 from telewide.capture.facts import CaptureFacts
 from telewide.depth.export import write_depth
-from telewide.depth.formats.png_files import png_from_depth
+from telewide.depth.formats.depth_png_file import png_from_depth
 from telewide.depth.result import FARTHEST_M, depth_result
 from telewide.geometry.stereo import DisparityMap
 from telewide.srgb import linear_from_srgb
@@ -69,6 +82,14 @@ def test_tiff_by_tifffile_pillow_and_opencv(tmp_path: Path) -> None:
     np.testing.assert_array_equal(by_opencv, depth_m())
 
 
+def test_exiftool_has_nothing_against_a_tiff_of_depth(tmp_path: Path) -> None:
+    if shutil.which("exiftool") is None:
+        pytest.skip("exiftool is not installed")
+    write_depth(tmp_path, made_result(), formats=("tiff",))
+    call = ["exiftool", "-validate", "-warning", "-a", "-s3", str(tmp_path / "depth.tif")]
+    assert subprocess.run(call, check=True, capture_output=True, text=True).stdout == "OK\n"
+
+
 def test_tiff_without_metres_holds_disparity_and_says_so(tmp_path: Path) -> None:
     written = write_depth(tmp_path, made_result(has_metres=False), formats=("tiff",))
     assert [path.name for path in written.paths] == ["disparity.tif"]
@@ -108,6 +129,20 @@ def test_exr_by_openexr(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pixels["confidence"], np.where(measured, 0.75, 0))
     np.testing.assert_allclose(header["cameraIntrinsicsPx"], made_result().K)
     assert header["baselineMetres"] == pytest.approx(BASELINE_M)
+
+
+@pytest.mark.parametrize("rotated_deg", [90, 180, 270])
+def test_exr_of_turned_photos_is_that_of_upright_ones(tmp_path: Path, rotated_deg: int) -> None:
+    OpenEXR = pytest.importorskip("OpenEXR", reason="the extra exr is not installed")
+    write_depth(tmp_path / "upright", made_result(), image=made_photo(), formats=("exr",))
+    photo = turned(made_photo(), rotated_deg)
+    write_depth(tmp_path / "turned", turned_result(rotated_deg), image=photo, formats=("exr",))
+    expected, found = (OpenEXR.File(str(tmp_path / name / "depth.exr")) for name in ("upright", "turned"))
+    assert found.channels().keys() == expected.channels().keys()
+    for name, channel in expected.channels().items():
+        np.testing.assert_allclose(found.channels()[name].pixels, channel.pixels, rtol=1e-6, err_msg=name)
+    K, turned_K = (np.asarray(file.header()["cameraIntrinsicsPx"]) for file in (expected, found))
+    np.testing.assert_allclose(turned_K, K)
 
 
 def test_exr_without_metres_has_no_z(tmp_path: Path) -> None:

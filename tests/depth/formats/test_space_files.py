@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from depth.formats.made_depth import BOX, HW, depth_m, made_photo, made_result
+from depth.formats.made_depth import BOX, HW, depth_m, made_photo, made_result, turned, turned_result
 from rigs import phone
 
 from telewide.depth.export import write_depth
@@ -48,6 +48,22 @@ def test_points_of_a_distorted_lens_project_onto_their_pixels(tmp_path: Path) ->
     )
     y, x = np.mgrid[: hw[0], : hw[1]]
     np.testing.assert_allclose(seen[:, 0], np.column_stack([x.ravel(), y.ravel()]), atol=0.01)
+
+
+@pytest.mark.parametrize("rotated_deg", [90, 180, 270])
+def test_points_and_mesh_of_turned_photos_are_those_of_upright_ones(tmp_path: Path, rotated_deg: int) -> None:
+    write_depth(tmp_path / "upright", made_result(), image=made_photo(), formats=("ply", "glb"))
+    photo = turned(made_photo(), rotated_deg)
+    write_depth(tmp_path / "turned", turned_result(rotated_deg), image=photo, formats=("ply", "glb"))
+    expected, found = (trimesh.load(tmp_path / name / "points.ply") for name in ("upright", "turned"))
+    np.testing.assert_allclose(found.vertices, expected.vertices, atol=1e-5)
+    np.testing.assert_array_equal(found.colors, expected.colors)
+    expected, found = (read_mesh(tmp_path / name / "mesh.glb") for name in ("upright", "turned"))
+    np.testing.assert_allclose(found.vertices, expected.vertices, atol=1e-5)
+    np.testing.assert_array_equal(found.faces, expected.faces)
+    np.testing.assert_allclose(found.visual.uv, expected.visual.uv, atol=1e-6)
+    textures = (np.asarray(mesh.visual.material.baseColorTexture, dtype=int) for mesh in (found, expected))
+    np.testing.assert_allclose(*textures, atol=4)
 
 
 def test_mesh_is_cut_at_depth_edges_and_faces_the_camera(tmp_path: Path) -> None:

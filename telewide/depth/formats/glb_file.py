@@ -1,7 +1,7 @@
-"""``points.ply``, coloured points, and ``mesh.glb``, a textured surface that is cut at depth edges; metres.
+"""``mesh.glb``: a textured surface, m, that is cut at depth edges.
 
-Points lie in tele's frame: x right, y down, z forward. glTF wants y up and looks along -z, so the mesh is turned half
-round about x. trimesh (the extra ``mesh``) writes both. Letters: H W image; h w after thinning; N points, M triangles.
+glTF wants y up and looks along -z, so tele's frame (x right, y down, z forward) is turned half round about x. trimesh
+(the extra ``mesh``) writes it. Letters: H W image; h w after thinning; N points, M triangles.
 """
 
 from __future__ import annotations
@@ -12,29 +12,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from telewide.depth.formats.contents import NO_METRES, Contents, WrittenDepth, levels, positions_m, thinned
-from telewide.files import replacing
-from telewide.geometry.arrays import ByteImage, FloatMap, IntArray
+from telewide.depth.formats.contents import NO_METRES, Contents, WrittenDepth, levels, positions_m, written_whole
+from telewide.geometry.arrays import FloatMap, IntArray
 
-PLY_NAME, GLB_NAME = "points.ply", "mesh.glb"
-POINTS_LONGEST_PX = 1600
+GLB_NAME = "mesh.glb"
 MESH_LONGEST_PX = 800
 TEXTURE_LONGEST_PX = 2048
 CUT_SHARE = 0.04
 """Corners of a triangle whose depths differ by a larger share lie on two surfaces; as MoGe cuts its meshes."""
 _GLTF_FROM_TELE = np.array([1, -1, -1], dtype=np.float32)
-
-
-def write_ply(folder: Path, contents: Contents) -> WrittenDepth:
-    """Write ``points.ply``."""
-    at_m = positions_m(contents, longest_px=POINTS_LONGEST_PX)
-    if at_m is None or not np.isfinite(at_m).any():
-        return contents.left_out(PLY_NAME, NO_METRES)
-    from trimesh import PointCloud
-
-    known = np.isfinite(at_m).all(axis=2)
-    colours = None if contents.image is None else _bytes(contents.image, longest_px=POINTS_LONGEST_PX)[known]
-    return _written(folder / PLY_NAME, PointCloud(at_m[known], colors=colours).export(file_type="ply"))
 
 
 def write_glb(folder: Path, contents: Contents) -> WrittenDepth:
@@ -57,7 +43,7 @@ def write_glb(folder: Path, contents: Contents) -> WrittenDepth:
         visual=TextureVisuals(uv=_texture_places(at_m.shape[:2], contents.image.shape[:2])[used], material=texture),
         process=False,
     )
-    return _written(folder / GLB_NAME, mesh.export(file_type="glb"))
+    return written_whole(folder / GLB_NAME, mesh.export(file_type="glb"))
 
 
 def surface_triangles(depth_m: FloatMap) -> IntArray:
@@ -93,15 +79,3 @@ def _texture(image: FloatMap) -> Image.Image:
     stream = BytesIO()
     picture.save(stream, "JPEG", quality=92, subsampling=0)
     return Image.open(stream)
-
-
-def _bytes(image: FloatMap, *, longest_px: int) -> ByteImage:
-    return levels(np.nan_to_num(thinned(image, longest_px=longest_px)), bits=8).astype(np.uint8)
-
-
-def _written(path: Path, encoded: object) -> WrittenDepth:
-    if not isinstance(encoded, bytes):  # as trimesh may return other formats
-        raise TypeError(f"{path.name} was encoded as {type(encoded).__name__}")
-    with replacing(path) as temporary:
-        temporary.write_bytes(encoded)
-    return WrittenDepth((path,))
