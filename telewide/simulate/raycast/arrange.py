@@ -2,7 +2,8 @@
 
 Realistic layout teaches nothing more; variety does. Sizes are drawn in pixels and places in disparity, so that every
 world fills its view and its window whatever the baseline. What matching finds hard is common: plain walls, repetition,
-things one to six pixels wide, the same paint before and behind, gloss, dark corners.
+things one to six pixels wide, gaps through which only ref sees, the same paint before and behind, glass, gloss,
+dark corners.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from telewide.simulate.raycast.world import Light, Material, Solid, World
 
 PLAIN_SHARE = 0.45
 """Share of the materials with hardly any texture: with more of them the first steps of a training teach little."""
+GLASS_SHARE = 0.06
+"""Share of the materials that are dark and mirror more than they show: panes, windscreens, screens, lacquer."""
 SAME_AS_BEHIND = 0.12
 """Share of the solids that wear the background's paint."""
 
@@ -80,13 +83,13 @@ def draw_world(
         ground_y=None,
         palette=palette,
         backdrop=_NO_MATERIAL,
-        detail=math.exp(rng.uniform(-0.3, 1.1)),
+        detail=math.exp(rng.uniform(-1.2, 1.0)),
     )
     draft = replace(draft, backdrop=_material(draft, depth_m=1.0))
     draft, background = _background(draft)
     solids = [*background]
-    solids += [_single(draft) for _ in range(int(rng.integers(4, 26)))]
-    for _ in range(int(rng.choice([0, 1, 1, 2]))):
+    solids += [_single(draft) for _ in range(int(math.exp(rng.uniform(math.log(5), math.log(50)))))]
+    for _ in range(int(rng.choice([0, 1, 2, 3, 5]))):
         solids += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
     light = Light(unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth_m=1.0), gloss=0.0, macro_contrast=0.3)
@@ -137,6 +140,9 @@ def _material(draft: _Draft, *, depth_m: float) -> Material:
     is_plain = rng.random() < PLAIN_SHARE
     contrast = 0.25 * rng.random() ** 2 if is_plain else min(1.3, math.exp(rng.normal(-0.1, 0.35)))
     tint = np.exp(rng.normal(0, 0.35) + rng.normal(0, 0.08, 3))
+    gloss = float(rng.uniform(0.05, 0.5)) if rng.random() < 0.12 else 0.0
+    if rng.random() < GLASS_SHARE:
+        tint, contrast, gloss = tint * rng.uniform(0.1, 0.5), 0.3 * contrast, float(rng.uniform(0.3, 1.0))
     return Material(
         texture=int(rng.integers(draft.palette.n_textures)),
         macro=int(rng.integers(draft.palette.n_textures)),
@@ -145,7 +151,7 @@ def _material(draft: _Draft, *, depth_m: float) -> Material:
         contrast=float(contrast),
         macro_contrast=float(rng.uniform(0, 0.4 if is_plain else 1.2)),
         tint=(float(tint[0]), float(tint[1]), float(tint[2])),
-        gloss=float(rng.uniform(0.05, 0.5)) if rng.random() < 0.12 else 0.0,
+        gloss=gloss,
     )
 
 
@@ -428,4 +434,24 @@ def _plant(draft: _Draft) -> list[Solid]:
     return solids
 
 
-_GROUPS: tuple[Callable[[_Draft], list[Solid]], ...] = (_row, _row, _chair, _plant)
+def _clutter(draft: _Draft) -> list[Solid]:
+    """Many small things about one place, each of its own paint: shelves, engines, tools, gravel."""
+    rng = draft.rng
+    radius_px = rng.uniform(15, 0.25 * draft.hw[0])
+    centre, per_px = _place(draft, radius_px=radius_px)
+    spread = radius_px * per_px * np.array([1.0, rng.uniform(0.3, 1.0), 0.5])
+    solids = []
+    for _ in range(int(rng.integers(8, 24))):
+        half = math.exp(rng.uniform(math.log(1.0), math.log(9.0))) * per_px * np.exp(rng.normal(0, 0.5, 3))
+        at = centre + rng.normal(0, 0.6, 3) * spread
+        at[2] = max(at[2], 1 / draft.nearness)
+        kind = _SMALL_KINDS[int(rng.integers(len(_SMALL_KINDS)))]
+        turn = upright(rng) if rng.random() < 0.5 else any_turn(rng)
+        solids.append(
+            Solid(kind=kind, turn=turn, centre=at, half_size=half, material=_material(draft, depth_m=centre[2]))
+        )
+    return solids
+
+
+_SMALL_KINDS = (Kind.BOX, Kind.BOX, Kind.ELLIPSOID, Kind.CONE)
+_GROUPS: tuple[Callable[[_Draft], list[Solid]], ...] = (_row, _row, _chair, _plant, _clutter, _clutter)

@@ -1,6 +1,6 @@
 """Outlines that flat solids are cut out by, as signed distance maps over [-1, 1]^2, positive inside.
 
-Leaves, stones, pots, frames with holes, slats, fences, twigs with leaves, cables, letters.
+Leaves, stones, pots, frames with holes, slats, fences, trellises, wheels, twigs with leaves, cables, letters.
 """
 
 from __future__ import annotations
@@ -123,6 +123,34 @@ def _mesh(rng: np.random.Generator, canvas: ByteImage) -> None:
         canvas[:] = canvas.T.copy()
 
 
+def _wheel(rng: np.random.Generator, canvas: ByteImage) -> None:
+    """A rim, a hub and spokes, straight or in pairs."""
+    side = canvas.shape[0]
+    middle, rim = (side // 2, side // 2), rng.uniform(0.03, 0.2)
+    cv2.circle(canvas, middle, round(0.47 * side), 255, -1)
+    cv2.circle(canvas, middle, round((0.47 - rim) * side), 0, -1)
+    cv2.circle(canvas, middle, round(rng.uniform(0.02, 0.12) * side), 255, -1)
+    count, width, lean = int(rng.integers(3, 15)), max(1, round(rng.uniform(0.01, 0.06) * side)), rng.uniform(0, 0.3)
+    for i in range(count):
+        angle = 2 * math.pi * i / count + lean * (i % 2)
+        end = (round(side * (0.5 + 0.46 * math.cos(angle))), round(side * (0.5 + 0.46 * math.sin(angle))))
+        cv2.line(canvas, middle, end, 255, width)
+
+
+def _trellis(rng: np.random.Generator, canvas: ByteImage) -> None:
+    """Slanting bars that cross, in a frame or without: benches, gates, scaffolds, spars."""
+    side = canvas.shape[0]
+    for _ in range(int(rng.integers(2, 9))):
+        (x0, x1), width = rng.uniform(-0.2, 1.2, 2) * side, max(1, round(rng.uniform(0.01, 0.07) * side))
+        ends = ((round(x0), 0), (round(x1), side))
+        if rng.random() < 0.5:
+            ends = ((0, round(x0)), (side, round(x1)))
+        cv2.line(canvas, *ends, 255, width)
+    if rng.random() < 0.6:
+        rim = round(rng.uniform(0.02, 0.08) * side)
+        cv2.rectangle(canvas, (rim, rim), (side - rim, side - rim), 255, 2 * rim)
+
+
 def _letters(rng: np.random.Generator, canvas: ByteImage) -> None:
     side = canvas.shape[0]
     text = "".join(chr(int(c)) for c in rng.integers(65, 91, int(rng.integers(1, 4))))
@@ -149,5 +177,8 @@ _FAMILIES: tuple[Callable[[np.random.Generator, ByteImage], None], ...] = (
     _twig,
     _cable,
     _mesh,
+    _wheel,
+    _trellis,
+    _trellis,
     _letters,
 )

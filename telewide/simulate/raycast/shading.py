@@ -22,6 +22,8 @@ SHADOW_EDGE = (0.75, 1.35)
 SHADOW_CASTERS = 5
 MACRO_RATIO = 0.09
 MIRRORED_TEXELS = 90.0
+MIRRORED_BLUR = 10.0
+"""Texels that what the dullest gloss mirrors is blurred by; the more a surface mirrors, the sharper."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ def _light(world: World, point: Tensor, normal: Tensor, solid: Tensor) -> Tensor
 def _mirror(
     colour: Tensor, palette: Palette, part: dict[str, Tensor], ray: Tensor, normal: Tensor, far: Tensor
 ) -> Tensor:
-    """Blend in what glossy surfaces mirror: a blurred picture that belongs to the direction, not to the surface."""
+    """Blend in what glossy surfaces mirror: a soft picture that belongs to the direction, not to the surface."""
     place = ((part["gloss"][:, 0] > 0) & ~far).nonzero()[:, 0]
     if not len(place):
         return colour
@@ -191,8 +193,8 @@ def _mirror(
     n = normal[place]
     reflected = way - 2 * (way * n).sum(dim=-1, keepdim=True) * n
     macro = part["macro"][place, 0].long()
-    coarse = torch.full((len(place),), 8.0, device=colour.device)
-    seen = look_up_texture(palette, macro, reflected[:, :2] * MIRRORED_TEXELS, texels_per_px=coarse)
     gloss = part["gloss"][place]
+    coarse = (MIRRORED_BLUR * (1 - gloss[:, 0])).clamp(min=1)
+    seen = look_up_texture(palette, macro, reflected[:, :2] * MIRRORED_TEXELS, texels_per_px=coarse)
     colour[place] = colour[place] + gloss * (1.6 * seen - 0.5)
     return colour
