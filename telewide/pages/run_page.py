@@ -175,6 +175,7 @@ def write_run_page(
         links = [
             PageLink(f"{some[0]} to {some[-1]}", file.name, file == files[at])
             for some, file in zip(shown, files, strict=True)
+            if some
         ]
         write_report(
             files[at],

@@ -90,7 +90,8 @@ def draw_world(
     solids = [*background]
     solids += [_single(draft) for _ in range(int(math.exp(rng.uniform(math.log(5), math.log(50)))))]
     for _ in range(int(rng.choice([0, 1, 2, 3, 5]))):
-        solids += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
+        group = _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
+        solids += [piece for piece in group if float(piece.centre[2]) * draft.nearness > 0.95]
     light = Light(unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth_m=1.0), gloss=0.0, macro_contrast=0.3)
     return World(
