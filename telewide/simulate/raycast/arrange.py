@@ -20,8 +20,9 @@ from telewide.simulate.raycast.palette import Palette
 from telewide.simulate.raycast.turns import any_turn, rotation, turn_with_z, unit, upright
 from telewide.simulate.raycast.world import Light, Material, Solid, World
 
-PLAIN_SHARE = 0.45
-"""Share of the materials with hardly any texture: with more of them the first steps of a training teach little."""
+PLAIN_SHARES = (0.2, 0.45, 0.8)
+"""Of a world, one of them at random: share of its materials with hardly any texture. With more of them everywhere the first
+steps of a training teach little."""
 GLASS_SHARE = 0.06
 """Share of the materials that are dark and mirror more than they show: panes, windscreens, screens, lacquer."""
 SAME_AS_BEHIND = 0.12
@@ -42,6 +43,7 @@ class _Draft:
         palette: what to paint with.
         backdrop: material of the background.
         detail: typical size of a texel on the nearest things, px.
+        plain_share: of the materials.
     """
 
     rng: np.random.Generator
@@ -53,6 +55,7 @@ class _Draft:
     palette: Palette
     backdrop: Material
     detail: float
+    plain_share: float
 
 
 def draw_world(
@@ -67,7 +70,7 @@ def draw_world(
         disparities_px: of the background in the middle of the view, and of the nearest things.
 
     Returns:
-        The world; few pixels lie a little outside of `disparities_px`.
+        The world; about a fifth of the pixels lie outside of `disparities_px`, most of them a little.
     """
     far_px, near_px = disparities_px
     focal_px = hw[1] * math.exp(rng.uniform(math.log(0.7), math.log(2.5)))
@@ -84,6 +87,7 @@ def draw_world(
         palette=palette,
         backdrop=_NO_MATERIAL,
         detail=math.exp(rng.uniform(-1.2, 1.0)),
+        plain_share=float(rng.choice(PLAIN_SHARES)),
     )
     draft = replace(draft, backdrop=_material(draft, depth_m=1.0))
     draft, background = _background(draft)
@@ -138,7 +142,7 @@ def _with_shadows(solids: list[Solid], rng: np.random.Generator) -> list[Solid]:
 def _material(draft: _Draft, *, depth_m: float) -> Material:
     rng = draft.rng
     texel_px = draft.detail * math.exp(rng.normal(0, 0.45))
-    is_plain = rng.random() < PLAIN_SHARE
+    is_plain = rng.random() < draft.plain_share
     contrast = 0.25 * rng.random() ** 2 if is_plain else min(1.3, math.exp(rng.normal(-0.1, 0.35)))
     tint = np.exp(rng.normal(0, 0.35) + rng.normal(0, 0.08, 3))
     gloss = float(rng.uniform(0.05, 0.5)) if rng.random() < 0.12 else 0.0

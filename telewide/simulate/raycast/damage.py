@@ -71,7 +71,7 @@ def draw_damage(rng: np.random.Generator, *, factors: tuple[float, float], equal
         blur_angle_rad=rng.uniform(0, math.pi),
         noise_std=rng.uniform(0, 0.025) * (rng.random() < 0.7),
         jpeg_quality=int(rng.integers(35, 97)) if rng.random() < 0.35 else None,
-        vignetting=rng.uniform(0, 0.4) * (rng.random() < 0.3),
+        vignetting=rng.uniform(0, 0.5) * (rng.random() < 0.4),
         vertical_px=moves * (rng.normal(0, 0.35) if rng.random() < 0.8 else rng.uniform(-2, 2)),
         vertical_slope=moves * rng.normal(0, 0.0015),
         turn_rad=moves * rng.normal(0, 0.0007),

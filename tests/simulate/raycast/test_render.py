@@ -91,5 +91,5 @@ def test_a_seed_is_a_world(palette: Palette) -> None:
 def test_disparities_fill_the_range_asked_for(palette: Palette) -> None:
     values = torch.cat([cast(seed, palette)[1].disparity_px.flatten() for seed in range(30)])
     inside = ((values > WINDOW_PX[0] - 4) & (values < WINDOW_PX[1] + 4)).float().mean()
-    assert inside > 0.8
+    assert inside > 0.75
     assert float(torch.quantile(values, 0.9)) > 20
