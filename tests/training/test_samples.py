@@ -180,7 +180,7 @@ def test_rehearsed_truth_explains_the_pair(source: SampleSource, enlargement: fl
         seen = ~sample.occluded
         errors = {off: warp_error(crisp, sample.truth_px + np.float32(off), seen) for off in (-3, -1, 0, 1, 3)}
         fitting += min(errors, key=lambda off: errors[off]) == 0
-    assert fitting >= 10, "all but worlds that are plain"
+    assert fitting >= 9, "all but worlds that are plain"
 
 
 def test_rehearsed_sources_are_damaged_and_references_hardly(source: SampleSource) -> None:

@@ -21,10 +21,13 @@ from telewide.simulate.raycast.turns import any_turn, rotation, turn_with_z, uni
 from telewide.simulate.raycast.world import Light, Material, Solid, World
 
 PLAIN_SHARES = (0.2, 0.45, 0.8)
-"""Of a world, one of them at random: share of its materials with hardly any texture. With more of them everywhere the first
-steps of a training teach little."""
+"""Of a world, one of them at random: share of its materials with hardly any texture. With more of them everywhere the
+first steps of a training teach little."""
 GLASS_SHARE = 0.06
 """Share of the materials that are dark and mirror more than they show: panes, windscreens, screens, lacquer."""
+FARTHEST_SEAM_M = 3.0
+JUST_BEFORE = 0.999
+"""Depth of a seam over that of its plane."""
 SAME_AS_BEHIND = 0.12
 """Share of the solids that wear the background's paint."""
 
@@ -92,6 +95,8 @@ def draw_world(
     draft = replace(draft, backdrop=_material(draft, depth_m=1.0))
     draft, background = _background(draft)
     solids = [*background]
+    if rng.random() < 0.6:
+        solids += [seam for plane in background for seam in _seams(draft, plane)]
     solids += [_single(draft) for _ in range(int(math.exp(rng.uniform(math.log(5), math.log(50)))))]
     for _ in range(int(rng.choice([0, 1, 2, 3, 5]))):
         group = _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
@@ -253,6 +258,32 @@ def _in_room(draft: _Draft) -> tuple[_Draft, list[Solid]]:
         material=draft.backdrop,
     )
     return draft, [room]
+
+
+def _seams(draft: _Draft, plane: Solid) -> list[Solid]:
+    """Narrow stripes in a level plane: joints of doors and floors, cords on walls; thin, and they do not stand out."""
+    if plane.kind != Kind.PLANE or plane.waves is not None:
+        return []
+    rng, (height, width), normal = draft.rng, draft.hw, plane.turn[:, 2]
+    square = rng.uniform(0, math.pi)
+    seams = []
+    for _ in range(int(rng.integers(1, 6))):
+        x, y = rng.uniform(0, width), rng.uniform(0, height)
+        ray = np.array([(x - draft.centre_px[0]) / draft.focal_px, (y - draft.centre_px[1]) / draft.focal_px, 1.0])
+        depth_m = float(plane.centre @ normal) / (float(ray @ normal) or math.inf)
+        if not 1 / draft.nearness < depth_m < FARTHEST_SEAM_M:
+            continue
+        per_px = depth_m / draft.focal_px
+        half_px = math.exp(rng.uniform(math.log(0.5), math.log(4.0))), rng.uniform(20, 0.7 * width)
+        turn = plane.turn @ rotation(np.array([0.0, 0.0, 1.0]), square + 0.5 * math.pi * int(rng.integers(2)))
+        half_size = np.array([*half_px, 1.0]) * per_px
+        material = _material(draft, depth_m=depth_m)
+        seams.append(
+            Solid(
+                kind=Kind.SHEET, turn=turn, centre=JUST_BEFORE * depth_m * ray, half_size=half_size, material=material
+            )
+        )
+    return seams
 
 
 # Single things

@@ -75,3 +75,18 @@ def test_equal_seeds_are_equal_worlds() -> None:
     for own, its in zip(one.solids, other.solids, strict=True):
         assert own.material == its.material
         assert np.array_equal(own.centre, its.centre)
+
+
+def test_thin_lines_in_a_wall_are_common_and_lie_in_it(worlds: list[World]) -> None:
+    with_seams = 0
+    for world in worlds:
+        walls = [solid for solid in world.solids[:2] if solid.kind == Kind.PLANE and solid.waves is None]
+        seams = [
+            abs(float((solid.centre - wall.centre) @ wall.turn[:, 2])) / float(solid.centre[2])
+            for wall in walls
+            for solid in world.solids
+            if solid.kind == Kind.SHEET and np.allclose(solid.turn[:, 2], wall.turn[:, 2])
+        ]
+        with_seams += bool(seams)
+        assert all(off < 0.01 for off in seams)
+    assert 0.25 < with_seams / len(worlds) < 0.7

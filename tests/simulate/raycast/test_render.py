@@ -78,7 +78,7 @@ def test_hidden_is_what_a_ray_from_src_does_not_reach(seed: int, palette: Palett
     depth = torch.stack(depths).amin(dim=0).numpy()
     seen_px = world.focal_px * world.baseline_m / depth + world.offset_px
     hidden = (seen_px > disparity + 0.5) | (x_src.numpy() < 0) | (x_src.numpy() > HW[1] - 1)
-    assert (hidden == pair.occluded.numpy()[y, x]).mean() > 0.97
+    assert (hidden == pair.occluded.numpy()[y, x]).mean() > 0.96
 
 
 def test_a_seed_is_a_world(palette: Palette) -> None:
