@@ -172,11 +172,6 @@ def write_run_page(
     known = iter(rows)
     shown = [names[start : start + CAPTURES_A_PAGE] for start in starts]
     for at, start in enumerate(starts):
-        links = [
-            PageLink(f"{some[0]} to {some[-1]}", file.name, file == files[at])
-            for some, file in zip(shown, files, strict=True)
-            if some
-        ]
         write_report(
             files[at],
             tuple(itertools.islice(known, CAPTURES_A_PAGE)),
@@ -186,10 +181,18 @@ def write_run_page(
             result=result if start == 0 else "",
             next_steps=next_steps,
             facts={"telewide": metadata.version("telewide"), **facts},
-            others=links if len(files) > 1 else (),
+            others=_pages(shown, files, page=files[at]) if len(files) > 1 else (),
             index=_index(shown, files, page=files[at]) if len(names) > MOST_WITHOUT_INDEX else (),
         )
     return files[0]
+
+
+def _pages(shown: Sequence[Sequence[str]], files: Sequence[Path], *, page: Path) -> list[PageLink]:
+    """Links of one page to all, by the captures on them."""
+    return [
+        PageLink(f"{names[0]} to {names[-1]}", file.name, file == page)
+        for names, file in zip(shown, files, strict=True)
+    ]
 
 
 def _index(shown: Sequence[Sequence[str]], files: Sequence[Path], *, page: Path) -> list[CaptureLink]:

@@ -9,7 +9,7 @@ dark corners.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,13 +94,7 @@ def draw_world(
     )
     draft = replace(draft, backdrop=_material(draft, depth_m=1.0))
     draft, background = _background(draft)
-    solids = [*background]
-    if rng.random() < 0.6:
-        solids += [seam for plane in background for seam in _seams(draft, plane)]
-    solids += [_single(draft) for _ in range(int(math.exp(rng.uniform(math.log(5), math.log(50)))))]
-    for _ in range(int(rng.choice([0, 1, 2, 3, 5]))):
-        group = _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
-        solids += [piece for piece in group if float(piece.centre[2]) * draft.nearness > 0.95]
+    solids = [*background, *_things(draft, background)]
     light = Light(unit(rng.normal((0, -1.2, -0.8), 1)), rng.uniform(0.25, 0.75), _light_colour(rng))
     sky = replace(_material(draft, depth_m=1.0), gloss=0.0, macro_contrast=0.3)
     return World(
@@ -113,6 +107,18 @@ def draw_world(
         light=light,
         sky=sky,
     )
+
+
+def _things(draft: _Draft, background: Sequence[Solid]) -> list[Solid]:
+    """Draw all that lies in the background or stands before it."""
+    rng, things = draft.rng, list[Solid]()
+    if rng.random() < 0.6:
+        things += [seam for plane in background for seam in _seams(draft, plane)]
+    things += [_single(draft) for _ in range(int(math.exp(rng.uniform(math.log(5), math.log(50)))))]
+    for _ in range(int(rng.choice([0, 1, 2, 3, 5]))):
+        group = _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
+        things += [piece for piece in group if float(piece.centre[2]) * draft.nearness > 0.95]
+    return things
 
 
 _NO_MATERIAL = Material(
