@@ -179,7 +179,7 @@ def test_tensors_of_a_sample_are_its_views(damaged: SampleSource) -> None:
     assert batch.undamaged is not None
     views = zip(batch.undamaged, (batch.ref_BCHW, batch.src_BCHW), strict=True)
     for_ref, for_src = (float((sharp[0] - seen[0]).abs().mean()) for sharp, seen in views)
-    assert for_ref < 0.5 * for_src, "of what is rehearsed, ref has lost little, and src much"
+    assert for_ref < 0.4 * for_src, "of what is rehearsed, ref has lost little, and src much"
     assert tensor_of(np.zeros((4, 5, 3), np.float32)).shape == (1, 3, 4, 5)
     assert batch.to(CPU).undamaged is not None
 

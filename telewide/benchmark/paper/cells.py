@@ -134,13 +134,15 @@ class Cells:
             "seed": plan.task.seed,
         }
         if plan.system.learns:
+            from telewide.benchmark.networks import device_type
+
             key |= {
                 "training": [self._fingerprint(scene) for scene in plan.task.training],
                 "validation": [self._fingerprint(scene) for scene in plan.task.validation],
                 "training_window": list(plan.task.window),
                 "budget": plan.task.budget.as_data(),
                 "weights": weights_fingerprints(plan.system, plan.task),
-                "device": _device_type(plan.task.device),
+                "device": device_type(plan.task.device),
             }
         return key
 
@@ -329,12 +331,6 @@ def _first_there(names: Sequence[str], data_root: Path, split: str) -> tuple[str
             return name, selection.scenes, [*selection.notes]
         notes += [note for note in selection.notes if note not in notes]
     return None, (), notes
-
-
-def _device_type(device: Device) -> str:
-    from telewide.benchmark.networks import device_type
-
-    return device_type(device)
 
 
 def _kept(path: Path, key: Mapping[str, object]) -> list[Row] | None:

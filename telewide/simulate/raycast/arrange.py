@@ -25,6 +25,10 @@ PLAIN_SHARES = (0.2, 0.45, 0.8)
 first steps of a training teach little."""
 GLASS_SHARE = 0.06
 """Share of the materials that are dark and mirror more than they show: panes, windscreens, screens, lacquer."""
+NEAREST = 0.85
+"""Of the nearest depth of a world: what would come nearer is left out."""
+SEAMS_SHARE = 0.6
+"""Share of the worlds with seams in their planes."""
 FARTHEST_SEAM_M = 3.0
 JUST_BEFORE = 0.999
 """Depth of a seam over that of its plane."""
@@ -112,13 +116,17 @@ def draw_world(
 def _things(draft: _Draft, background: Sequence[Solid]) -> list[Solid]:
     """Draw all that lies in the background or stands before it."""
     rng, things = draft.rng, list[Solid]()
-    if rng.random() < 0.6:
+    if rng.random() < SEAMS_SHARE:
         things += [seam for plane in background for seam in _seams(draft, plane)]
     things += [_single(draft) for _ in range(int(math.exp(rng.uniform(math.log(5), math.log(50)))))]
     for _ in range(int(rng.choice([0, 1, 2, 3, 5]))):
-        group = _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
-        things += [piece for piece in group if float(piece.centre[2]) * draft.nearness > 0.95]
-    return things
+        things += _GROUPS[int(rng.integers(len(_GROUPS)))](draft)
+    return [thing for thing in things if _nearest_m(thing) * draft.nearness > NEAREST]
+
+
+def _nearest_m(solid: Solid) -> float:
+    """Depth of the nearest corner of a solid's box."""
+    return float(solid.centre[2] - np.abs(solid.turn[2]) @ solid.half_size)
 
 
 _NO_MATERIAL = Material(
@@ -187,7 +195,7 @@ def _background(draft: _Draft) -> tuple[_Draft, list[Solid]]:
 def _wall(draft: _Draft) -> Solid:
     """A plane that the axis meets at depth 1, slanted as far as the window allows, level or wavy."""
     rng, (height, width) = draft.rng, draft.hw
-    steepest = min(0.8, 0.6 * (draft.nearness - 1) + 0.05)
+    steepest = min(0.7, 0.5 * (draft.nearness - 1) + 0.05)
     slope = rng.uniform(-steepest, steepest, 2) * (rng.random(2) < 0.6)
     normal = np.array([slope[0] * draft.focal_px / width, slope[1] * draft.focal_px / height, 1.0])
     turn = turn_with_z(unit(normal))

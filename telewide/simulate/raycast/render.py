@@ -23,6 +23,8 @@ from telewide.simulate.raycast.world import Camera, World
 
 HIDDEN_PX = 0.5
 """A pixel of ref counts as hidden where src shows something nearer by more than this."""
+ONE_HIDES_STEP = 0.75
+"""A single pixel of src hides what lies lower by more than this share of the step beside it: no slope, but an edge."""
 _SUBPIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
 
 
@@ -135,11 +137,15 @@ def _four_rays_each(place: Tensor, solid: Tensor, boxes: Sequence[Box | None], *
 
 
 def _hidden(disparity_px: Tensor, src_disparity_px: Tensor) -> Tensor:
-    """Whether src shows something nearer at a pixel's image, on both sides of it, or does not reach so far."""
+    """Whether src shows something nearer at a pixel's image, or does not reach so far.
+
+    It lies on both sides of the image, or at the pixel nearest to it; there a slope rises by half a step at the most.
+    """
     width = disparity_px.shape[1]
     x_src = torch.arange(width, device=disparity_px.device) - disparity_px
-    low = x_src.floor().clamp(0, width - 2).long()
-    nearer = (
-        torch.minimum(src_disparity_px.gather(1, low), src_disparity_px.gather(1, low + 1)) > disparity_px + HIDDEN_PX
-    )
-    return nearer | (x_src < 0) | (x_src > width - 1)
+    low, nearest = x_src.floor().clamp(0, width - 2).long(), x_src.round().clamp(0, width - 1).long()
+    left_px, right_px = src_disparity_px.gather(1, low), src_disparity_px.gather(1, low + 1)
+    excess_px = src_disparity_px.gather(1, nearest) - disparity_px
+    on_both_sides = torch.minimum(left_px, right_px) > disparity_px + HIDDEN_PX
+    by_one = (excess_px > HIDDEN_PX) & (excess_px > ONE_HIDES_STEP * (left_px - right_px).abs())
+    return on_both_sides | by_one | (x_src < 0) | (x_src > width - 1)

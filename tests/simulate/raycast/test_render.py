@@ -68,7 +68,7 @@ def test_a_wrong_truth_does_not(palette: Palette) -> None:
 def test_hidden_is_what_a_ray_from_src_does_not_reach(seed: int, palette: Palette) -> None:
     world, pair = cast(seed, palette)
     rng = np.random.default_rng(seed)
-    y, x = rng.integers(0, HW[0], 400), rng.integers(0, HW[1], 400)
+    y, x = rng.integers(0, HW[0], 4000), rng.integers(0, HW[1], 4000)
     disparity = pair.disparity_px.numpy()[y, x].astype(np.float64)
     x_src = torch.from_numpy(x - disparity)
     depths = [
@@ -78,7 +78,7 @@ def test_hidden_is_what_a_ray_from_src_does_not_reach(seed: int, palette: Palett
     depth = torch.stack(depths).amin(dim=0).numpy()
     seen_px = world.focal_px * world.baseline_m / depth + world.offset_px
     hidden = (seen_px > disparity + 0.5) | (x_src.numpy() < 0) | (x_src.numpy() > HW[1] - 1)
-    assert (hidden == pair.occluded.numpy()[y, x]).mean() > 0.96
+    assert (hidden == pair.occluded.numpy()[y, x]).mean() > 0.98
 
 
 def test_a_seed_is_a_world(palette: Palette) -> None:
@@ -91,5 +91,5 @@ def test_a_seed_is_a_world(palette: Palette) -> None:
 def test_disparities_fill_the_range_asked_for(palette: Palette) -> None:
     values = torch.cat([cast(seed, palette)[1].disparity_px.flatten() for seed in range(30)])
     inside = ((values > WINDOW_PX[0] - 4) & (values < WINDOW_PX[1] + 4)).float().mean()
-    assert inside > 0.75
+    assert inside > 0.8
     assert float(torch.quantile(values, 0.9)) > 20
