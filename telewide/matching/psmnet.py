@@ -16,8 +16,8 @@ from torch.nn import functional
 
 from telewide.matching.conv3d import Conv3d
 from telewide.matching.psmnet_blocks import HALVED_PLANES, Hourglass, conv2d, conv3d, stacked
-from telewide.matching.volume import concatenate_views
-from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
+from telewide.matching.volume import concatenate_views, expect_full_size
+from telewide.matching.window import Window, planes_of, widened_window
 
 FEATURE_CHANNELS = 16
 VOLUME_CHANNELS = 16
@@ -103,19 +103,7 @@ class PsmnetMatching(nn.Module):
         cost = self.dres0(volume)
         cost = cost + self.dres1(cost)
         logits = self.classify(cost + self.hourglass(cost)[0]).float()[:, :, planes_of(window, within=whole)]
-        return [_expect_full_size(logits, window)], logits[:, 0]
-
-
-def _expect_full_size(logits_B1DHW: Tensor, window: Window) -> Tensor:
-    """Trilinear to one level a pixel, softmax, expectation (PSMNet, section 3.5).
-
-    Enlarged levels lie at half-pixel centres, so level j stands for ``d_min + j - (step - 1) / 2``.
-    """
-    full = functional.interpolate(logits_B1DHW, scale_factor=VOLUME_STEP_PX, mode="trilinear", align_corners=False)
-    levels = torch.arange(full.shape[2], dtype=torch.float32, device=full.device)
-    levels_px = window[0] + levels - (VOLUME_STEP_PX - 1) / 2
-    # No einsum: autocast computes it in bf16, which knows 100 px to half a pixel.
-    return (full[:, 0].softmax(dim=1) * levels_px[:, None, None]).sum(dim=1)
+        return [expect_full_size(logits[:, 0], window=window)], logits[:, 0]
 
 
 def initialise_psmnet(module: nn.Module) -> None:

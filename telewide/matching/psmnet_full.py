@@ -18,7 +18,7 @@ from telewide.matching.conv3d import Conv3d
 from telewide.matching.foreign_weights import load_tensors, read_tensors
 from telewide.matching.psmnet_blocks import HALVED_PLANES, Hourglass, conv2d, conv3d, stacked
 from telewide.matching.sampling import at_least_float32
-from telewide.matching.volume import concatenate_views, shifted_views
+from telewide.matching.volume import concatenate_views, expect_full_size, shifted_views
 from telewide.matching.window import VOLUME_STEP_PX, Window, planes_of, widened_window
 
 FEATURE_CHANNELS = 32
@@ -97,10 +97,11 @@ class PsmnetFullFeatures(nn.Module):
     def _pooled(self, deep: Tensor, number: int) -> Tensor:
         cells: Tensor = self.get_submodule(f"branch{number}")(deep)
         if self.is_published:
-            return _enlarge(cells, deep.shape[-2:], is_published=True)
+            return _stretch(cells, deep.shape[-2:])
         # By the cells' own size, not to that of the view, which may end within a cell.
         size = tuple(POOL_CELLS[number - 1] * side for side in cells.shape[-2:])
-        return _enlarge(cells, size, is_published=False)[..., : deep.shape[-2], : deep.shape[-1]]
+        enlarged = functional.interpolate(cells, size=size, mode="bilinear", align_corners=False)
+        return enlarged[..., : deep.shape[-2], : deep.shape[-1]]
 
 
 class PublishedPsmnetFeatures(PsmnetFullFeatures):
@@ -149,7 +150,12 @@ class PsmnetFullMatching(nn.Module):
         costs.append(self.classif3(third + start) + costs[-1])
         logits = [at_least_float32(cost)[:, :, planes_of(window, within=whole)] for cost in costs]
         read = logits if self.training else logits[-1:]
-        return [_expect(x, window, is_published=self.is_published) for x in read], logits[-1][:, 0]
+        return [self._disparity(x, window) for x in read], logits[-1][:, 0]
+
+    def _disparity(self, logits_B1DHW: Tensor, window: Window) -> Tensor:
+        if self.is_published:
+            return _expect_as_published(logits_B1DHW, window)
+        return expect_full_size(logits_B1DHW[:, 0], window=window)
 
 
 def _visible_volume(ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> Tensor:
@@ -158,43 +164,28 @@ def _visible_volume(ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> Tenso
     return concatenate_views(ref_BCHW, src_BCHW, window=window) * seen
 
 
-def _expect(logits_B1DHW: Tensor, window: Window, *, is_published: bool) -> Tensor:
-    """Enlarge to one level a pixel, softmax, expectation (PSMNet, section 3.5).
+def _expect_as_published(logits_B1DHW: Tensor, window: Window) -> Tensor:
+    """`expect_full_size` of the time of the authors' checkpoints.
 
-    With half-pixel centres level j stands for ``d_min + j - (step - 1) / 2``. The authors' checkpoints come from a time
-    when torch aligned corners and called level j of D j px: plane k then stands for ``step k (D - 1) / (D - step)``.
+    Torch then aligned corners, and called level j of D j px: plane k stands for ``step k (D - 1) / (D - step)``.
     """
-    planes, height, width = logits_B1DHW.shape[2:]
-    size = (planes * VOLUME_STEP_PX, height * VOLUME_STEP_PX, width * VOLUME_STEP_PX)
-    full = _enlarge(logits_B1DHW, size, is_published=is_published)
-    levels_px = torch.arange(size[0], dtype=full.dtype, device=full.device)
-    if is_published:
-        end_px = PUBLISHED_WINDOW[1]
-        stretch = (end_px - 1) / (end_px - VOLUME_STEP_PX)
-        within = levels_px / max(1, size[0] - 1) * (size[0] - VOLUME_STEP_PX)
-        levels_px = (window[0] + within) * stretch
-    else:
-        levels_px = window[0] + levels_px - (VOLUME_STEP_PX - 1) / 2
-    return (full[:, 0].softmax(dim=1) * levels_px[:, None, None]).sum(dim=1)
+    full = _stretch(logits_B1DHW, tuple(n * VOLUME_STEP_PX for n in logits_B1DHW.shape[2:]))
+    levels_px = torch.arange(full.shape[2], dtype=full.dtype, device=full.device)
+    end_px = PUBLISHED_WINDOW[1]
+    stretch = (end_px - 1) / (end_px - VOLUME_STEP_PX)
+    within = levels_px / max(1, full.shape[2] - 1) * (full.shape[2] - VOLUME_STEP_PX)
+    return (full[:, 0].softmax(dim=1) * ((window[0] + within) * stretch)[:, None, None]).sum(dim=1)
 
 
-def _enlarge(x: Tensor, size: tuple[int, ...], *, is_published: bool) -> Tensor:
-    """Linear along every axis behind the channels."""
-    if not is_published:
-        mode = "bilinear" if len(size) == 2 else "trilinear"
-        return functional.interpolate(x, size=size, mode=mode, align_corners=False)
+def _stretch(x: Tensor, size: tuple[int, ...]) -> Tensor:
+    """Linear along every axis behind the channels, first and last samples on one another."""
     for axis, length in enumerate(size, start=2):
-        x = _stretch(x, axis, length)
+        position = torch.linspace(0, x.shape[axis] - 1, length, device=x.device, dtype=torch.float64)
+        first = position.floor().long().clamp(max=max(0, x.shape[axis] - 2))
+        share = (position - first).to(x.dtype).view(-1, *(1,) * (x.ndim - axis - 1))
+        near, far = (x.index_select(axis, index.clamp(max=x.shape[axis] - 1)) for index in (first, first + 1))
+        x = torch.lerp(near, far, share.expand_as(near))
     return x
-
-
-def _stretch(x: Tensor, axis: int, length: int) -> Tensor:
-    """Linear along one axis, first and last samples on one another."""
-    position = torch.linspace(0, x.shape[axis] - 1, length, device=x.device, dtype=torch.float64)
-    first = position.floor().long().clamp(max=max(0, x.shape[axis] - 2))
-    share = (position - first).to(x.dtype).view(-1, *(1,) * (x.ndim - axis - 1))
-    near, far = (x.index_select(axis, index.clamp(max=x.shape[axis] - 1)) for index in (first, first + 1))
-    return torch.lerp(near, far, share.expand_as(near))
 
 
 def load_published_psmnet(features: nn.Module, matching: nn.Module, path: Path) -> None:

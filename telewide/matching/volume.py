@@ -127,6 +127,37 @@ def expect_disparity(logits_BDHW: Tensor, *, window: Window) -> Tensor:
     return (logits_BDHW.float().softmax(dim=1) * planes[:, None, None]).sum(dim=1)
 
 
+def expect_full_size(logits_BDHW: Tensor, *, window: Window) -> Tensor:
+    """Enlarge linearly to one level a pixel, softmax, expectation over all levels (PSMNet, section 3.5).
+
+    Enlarged levels lie at half-pixel centres, so level j stands for ``d_min + j - (step - 1) / 2``. Products with
+    matrices of weights take a third of the time of torch's trilinear interpolation and its gradient on a processor.
+
+    Args:
+        logits_BDHW: (B, D, h, w).
+        window: disparities ``[d_min, d_max)``, full-size px.
+
+    Returns:
+        (B, h step, w step) of the logits' dtype, full-size px.
+    """
+    planes, height, width = logits_BDHW.shape[1:]
+    # Autocast would multiply in bf16, which knows 100 px to half a pixel.
+    with torch.autocast(logits_BDHW.device.type, enabled=False):
+        by_plane, by_row, by_column = (_enlarging(n, like=logits_BDHW) for n in (planes, height, width))
+        wide = by_row @ (logits_BDHW @ by_column.T)
+        full = wide.flatten(2).transpose(1, 2) @ by_plane.T
+        levels_px = torch.arange(full.shape[-1], dtype=full.dtype, device=full.device)
+        expected = full.softmax(dim=-1) @ (window[0] + levels_px - (VOLUME_STEP_PX - 1) / 2)
+        return expected.reshape(-1, *wide.shape[2:])
+
+
+def _enlarging(n: int, *, like: Tensor) -> Tensor:
+    """(n step, n) weights of linear interpolation between half-pixel centres."""
+    unit = torch.eye(n, dtype=like.dtype, device=like.device)[None]
+    by_point: Tensor = functional.interpolate(unit, scale_factor=VOLUME_STEP_PX, mode="linear", align_corners=False)
+    return by_point[0].T
+
+
 def expect_disparity_at_mode(logits_BDHW: Tensor, *, window: Window, reach: int = 2) -> Tensor:
     """Expectation over the planes around the likeliest one, so that no value lies between two surfaces.
 

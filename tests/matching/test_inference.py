@@ -128,14 +128,17 @@ def test_tiles_overlap_by_what_the_network_sees(reach_px: int, is_same: bool) ->
 
 @pytest.mark.parametrize("view", [0, 1])
 def test_psmnet_sees_no_farther_than_it_says(view: int) -> None:
-    """What is no number spreads to every pixel that depends on it, and not beyond the stated context."""
+    """What is no number spreads to every cell of the volume that depends on it, and not beyond the stated context.
+
+    Enlarged, a cell of four pixels reaches two further.
+    """
     network = build_network("psmnet-s").eval()
     for edge_px, is_left in ((392, True), (436, False)):  # where among the pooled cells of 64 px the reach is longest
         views = [torch.rand(1, 3, 64, 768) for _ in range(2)]
         views[view][..., slice(edge_px) if is_left else slice(edge_px, None)] = torch.nan
         with torch.no_grad():
-            reached = network(views[0], views[1], (0, 4)).disparity_px.isnan().any(dim=1)[0].nonzero()
-        reach_px = int(reached[-1]) + 1 - edge_px if is_left else edge_px - int(reached[0])
+            reached = network(views[0], views[1], (0, 4)).logits_BDHW[0].isnan().any(dim=0).any(dim=0).nonzero()
+        reach_px = 2 + (4 * (int(reached[-1]) + 1) - edge_px if is_left else edge_px - 4 * int(reached[0]))
         assert 256 < reach_px <= network.context_px
 
 

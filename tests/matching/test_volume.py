@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch.nn import functional
 
 from telewide.matching.volume import (
     concatenate_views,
     correlate_groups,
     expect_disparity,
     expect_disparity_at_mode,
+    expect_full_size,
     peak_share,
     plane_disparities_px,
     shear_to_src,
@@ -121,10 +123,24 @@ def test_expectation_of_a_symmetric_peak_is_its_centre() -> None:
         assert float(disparity) == pytest.approx(centre_px, abs=0.05)
 
 
+@pytest.mark.parametrize("window", WINDOWS)
+def test_expectation_at_full_size_and_its_gradient_are_those_of_torchs_interpolation(window: Window) -> None:
+    planes = (window[1] - window[0]) // VOLUME_STEP_PX
+    logits = (5 * randn(2, planes, 6, 9)).double().requires_grad_()
+    weights = randn(2, 24, 36).double()
+    found = expect_full_size(logits, window=window)
+    full = functional.interpolate(logits[:, None], scale_factor=4, mode="trilinear", align_corners=False)[:, 0]
+    levels = window[0] - 1.5 + torch.arange(4 * planes, dtype=torch.float64)
+    expected = torch.einsum("bdhw,d->bhw", full.softmax(dim=1), levels)
+    torch.testing.assert_close(found, expected)
+    gradients = [torch.autograd.grad((weights * value).sum(), logits)[0] for value in (found, expected)]
+    torch.testing.assert_close(*gradients)
+
+
 def test_expectations_stay_float32_under_autocast() -> None:
     logits = 3 * randn(1, 32, 4, 5)
     window = (0, 128)
-    for expect in (expect_disparity, expect_disparity_at_mode):
+    for expect in (expect_disparity, expect_disparity_at_mode, expect_full_size):
         with torch.autocast("cpu", dtype=torch.bfloat16):
             low = expect(logits, window=window)
         assert low.dtype == torch.float32
