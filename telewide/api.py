@@ -297,7 +297,7 @@ def render_bokeh(
     )
     maps = depth.disparity
     found = find_focus(maps.disparity_px, maps.confidence, focus=focus, disparity_at_m=depth.disparity_at)
-    return bokeh_picture(photo, maps, options=options, baseline_m=depth.baseline_m, focus=found)
+    return bokeh_picture(lambda: photo, maps, options=options, baseline_m=depth.baseline_m, focus=found)
 
 
 def train(

@@ -27,6 +27,7 @@ UNKNOWN = 0.35
 _TABLES = {"turbo": cv2.COLORMAP_TURBO, "inferno": cv2.COLORMAP_INFERNO}
 _TURBO_ENDS = (0.06, 0.96)  # its ends are so dark that nearest and farthest would look alike
 _HATCH_PERIOD_PX = 9
+_STRIP_ROWS = 128
 
 
 @dataclass(frozen=True)
@@ -142,11 +143,15 @@ def painted(values: FloatMap, *, value_range: tuple[float, float], table: str = 
         (H, W, 3) float32 RGB in [0, 1].
     """
     low, high = value_range
-    position = np.clip((values - low) / max(high - low, 1e-12), 0, 1)
-    is_known = np.isfinite(values)
-    indices = np.round(np.where(is_known, position, 0) * 255).astype(np.uint8)
-    colours = np.asarray(_colour_table(table)[indices], dtype=np.float32)
-    colours[~is_known] = UNKNOWN
+    colours, colour_table = np.empty((*values.shape, 3), np.float32), _colour_table(table)
+    for top in range(0, len(values), _STRIP_ROWS):  # between its steps the formula leaves a few times the map
+        strip = values[top : top + _STRIP_ROWS]
+        position = np.clip((strip - low) / max(high - low, 1e-12), 0, 1)
+        is_known = np.isfinite(strip)
+        indices = np.round(np.where(is_known, position, 0) * 255).astype(np.uint8)
+        painted_strip = colours[top : top + _STRIP_ROWS]
+        painted_strip[:] = colour_table[indices]
+        painted_strip[~is_known] = UNKNOWN
     return colours
 
 

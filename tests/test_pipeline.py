@@ -322,14 +322,16 @@ class TestBokehOptions:
             np.ones(photo.shape[:2], np.float32),
             np.ones(photo.shape[:2], bool),
         )
-        np.testing.assert_array_equal(bokeh_picture(photo, flat, options=BokehOptions(), baseline_m=None), photo)
+        np.testing.assert_array_equal(
+            bokeh_picture(lambda: photo, flat, options=BokehOptions(), baseline_m=None), photo
+        )
 
     def test_a_wider_aperture_blurs_more(self, simulated: Path) -> None:
         photo = read_image(simulated / "000" / "tele.png")
         truth_px = read_pfm(simulated / "000" / "truth.pfm")
         disparity = DisparityMap(truth_px, np.ones_like(truth_px), np.ones(truth_px.shape, bool))
         changes = [
-            float(np.abs(bokeh_picture(photo, disparity, options=options, baseline_m=0.01) - photo).mean())
+            float(np.abs(bokeh_picture(lambda: photo, disparity, options=options, baseline_m=0.01) - photo).mean())
             for options in (BokehOptions(f_number=16), BokehOptions(f_number=4))
         ]
         assert changes[0] < changes[1]

@@ -114,7 +114,7 @@ def _place(row: Mapping[str, object]) -> tuple[object, object]:
 
 def _specks(photo: FloatImage, result: DepthResult, options: BokehOptions) -> dict[str, object]:
     maps = result.disparity
-    picture = bokeh_picture(photo, maps, options=options, baseline_m=result.baseline_m)
+    picture = bokeh_picture(lambda: photo, maps, options=options, baseline_m=result.baseline_m)
     return {"specks": speck_share(picture, maps.disparity_px), "photo_specks": speck_share(photo, maps.disparity_px)}
 
 

@@ -338,29 +338,41 @@ def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> Sort
     """
     bins = cut_into_bins(radius_px)
     split = split_mixed_pixels(light, radius_px)
-    beyond_y, beyond_x = (-size % multiple for size in radius_px.shape)
-    rear = np.asarray(cv2.cvtColor(light, cv2.COLOR_RGB2RGBA), dtype=np.float32)
-    rear[split.y, split.x, :3] = split.rear
-    front_radius_px, rear_radius_px = radius_px.copy(), radius_px.copy()
-    front_radius_px[split.y, split.x], rear_radius_px[split.y, split.x] = split.front_radius_px, split.rear_radius_px
-    rear_bin, front_bin = bins.index(rear_radius_px), bins.index(split.front_radius_px)
-    lowest_rear, lowest_front = (bins.index(_lowest(r)) for r in (rear_radius_px, front_radius_px))
-    if beyond_y or beyond_x:
-        beyond = 0, beyond_y, 0, beyond_x
-        rear = np.asarray(cv2.copyMakeBorder(rear, *beyond, cv2.BORDER_REFLECT), dtype=np.float32)
-        rear_bin, lowest_rear = (
-            np.asarray(cv2.copyMakeBorder(b, *beyond, cv2.BORDER_REFLECT), dtype=np.uint8)
-            for b in (rear_bin, lowest_rear)
-        )
+    at, front_bin = (split.y, split.x), bins.index(split.front_radius_px)
+    part_px = radius_px.copy()
+    part_px[at] = split.front_radius_px
+    lowest_front = bins.index(_lowest(part_px)[at])
+    part_px[at] = split.rear_radius_px
+    rear_bin, lowest_rear = (_enlarged(bins.index(r), multiple) for r in (part_px, _lowest(part_px)))
+    del part_px
+    rear = np.empty((*rear_bin.shape, 4), np.float32)
+    height, width = radius_px.shape
+    rear[:height, :width, :3], rear[..., 3] = light, 1
+    rear[(*at, slice(3))] = split.rear
+    _mirror_beyond(rear, hw=(height, width))
     fronts = {}
     for index in np.unique(front_bin[split.front[:, 3] > 0]):
         which = np.flatnonzero((front_bin == index) & (split.front[:, 3] > 0))
-        y, x = split.y[which], split.x[which]
-        fronts[int(index)] = Fronts(y, x, split.front[which], lowest_front[y, x])
+        fronts[int(index)] = Fronts(split.y[which], split.x[which], split.front[which], lowest_front[which])
     occurs, up_to = _counted(rear_bin, len(bins.radius_px), is_shared=multiple % SHARE_CELL_PX == 0)
     for index, some in fronts.items():
         occurs[some.y // BLOCK_PX, some.x // BLOCK_PX, index] = True
     return SortedPhoto(rear, rear_bin, lowest_rear, bins=bins, occurs=occurs, up_to=up_to, _fronts=fronts)
+
+
+def _enlarged(plane: NDArray[np.uint8], multiple: int) -> NDArray[np.uint8]:
+    """Make the sides whole multiples, by mirroring what lies at their ends."""
+    beyond_y, beyond_x = (-size % multiple for size in plane.shape)
+    return np.asarray(cv2.copyMakeBorder(plane, 0, beyond_y, 0, beyond_x, cv2.BORDER_REFLECT), dtype=np.uint8)
+
+
+def _mirror_beyond(plane: FloatMap, *, hw: tuple[int, int]) -> None:
+    """Fill what lies below and to the right of a size as :func:`_enlarged` does, in place: a copy is large."""
+    for axis, size in enumerate(hw):
+        along = np.moveaxis(plane, axis, 0)
+        beyond = np.arange(size, len(along))
+        source = beyond % (2 * size)
+        along[size:] = along[np.where(source < size, source, 2 * size - 1 - source)]
 
 
 def _counted(rear_bin: NDArray[np.uint8], n_bins: int, *, is_shared: bool) -> tuple[BoolMap, NDArray[np.uint8] | None]:

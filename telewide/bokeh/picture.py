@@ -15,14 +15,17 @@ import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import AF_WORD, Focus, find_focus, named_distance_m, named_point
+from telewide.bokeh.layers import SortedPhoto
 from telewide.bokeh.lens import IN_FOCUS_PX
 from telewide.bokeh.render import (
     LARGEST_RADIUS_SHARE,
+    Blur,
     away_from_focus_px,
     largest_step_px,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
-    render_bokeh,
+    rendered,
+    sorted_by_blur,
 )
 from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.bokeh.surroundings import WideView, find_surroundings
@@ -195,7 +198,7 @@ def focus_note(
 
 
 def bokeh_picture(
-    photo: FloatMap,
+    read_photo: Callable[[], FloatMap],
     disparity: DisparityMap,
     *,
     options: BokehOptions,
@@ -206,7 +209,7 @@ def bokeh_picture(
     """Blur a photo by its disparity.
 
     Args:
-        photo: (H, W, 3) tele, sRGB.
+        read_photo: reads tele, (H, W, 3) sRGB; nothing holds on to it while the blur is drawn.
         disparity: on the photo.
         options: focus and strength.
         baseline_m: distance of the lenses, m; needed for an f-number.
@@ -224,22 +227,33 @@ def bokeh_picture(
         raise UsageError(refusal)
     if focus is None:
         focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
-    radius_per_px = blur_per_px(disparity.disparity_px, focus, options=options, baseline_m=baseline_m)
-    around = None
-    if wide is not None:
-        margin_px = _margin_px(disparity.disparity_px, focus, radius_per_px * options.aperture.reach)
-        if margin_px > 0:
-            around = find_surroundings(photo, disparity.disparity_px, wide(), margin_px=margin_px)
-    return render_bokeh(
-        photo,
-        disparity.disparity_px,
-        focus_disparity_px=focus.disparity_px,
-        radius_per_px=radius_per_px,
-        sharp_px=focus.sharp_px,
-        aperture=options.aperture,
-        highlights=options.highlights or 1.0,
-        around=around,
-    )
+    disparity_px = disparity.disparity_px
+    radius_per_px = blur_per_px(disparity_px, focus, options=options, baseline_m=baseline_m)
+    blur = Blur(focus.disparity_px, radius_per_px, focus.sharp_px, highlights=options.highlights or 1.0)
+    most_px = 0 if wide is None else _margin_px(disparity_px, focus, radius_per_px * options.aperture.reach)
+    photo, margin_px = _sorted(read_photo, disparity_px, blur, wide=wide, margin_px=most_px)
+    if photo is None:
+        return read_photo().astype(np.float32, copy=True)
+    return rendered(photo, aperture=options.aperture, hw=disparity_px.shape, margin_px=margin_px)
+
+
+def _sorted(
+    read_photo: Callable[[], FloatMap],
+    disparity_px: FloatMap,
+    blur: Blur,
+    *,
+    wide: Callable[[], WideView] | None,
+    margin_px: int,
+) -> tuple[SortedPhoto | None, int]:
+    """Sort a photo by blur, with what wide shows around it; the photos go when this returns.
+
+    Returns:
+        The sorted photo, None where all of it is sharp; the margin around it, px, 0 where wide shows nothing there.
+    """
+    photo, around = read_photo(), None
+    if wide is not None and margin_px > 0:
+        around = find_surroundings(photo, disparity_px, wide(), margin_px=margin_px)
+    return sorted_by_blur(photo, disparity_px, blur, around=around), 0 if around is None else margin_px
 
 
 def _margin_px(disparity_px: FloatMap, focus: Focus, reach_per_px: float) -> int:
@@ -283,8 +297,9 @@ def bokeh_preview(
     small = DisparityMap(resize_disparity(disparity.disparity_px, wh=wh), confidence, valid > 0)
     sharp_px = None if focus.sharp_px is None else (scale * focus.sharp_px[0], scale * focus.sharp_px[1])
     strength_px = None if options.strength_px is None else scale * options.strength_px
+    small_photo = scaled_image(photo, wh=wh)
     return bokeh_picture(
-        scaled_image(photo, wh=wh),
+        lambda: small_photo,
         small,
         options=replace(options, strength_px=strength_px),
         baseline_m=baseline_m,

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.highlights import with_highlights
-from telewide.bokeh.lens import IN_FOCUS_PX, spread_light
+from telewide.bokeh.layers import SortedPhoto
+from telewide.bokeh.lens import IN_FOCUS_PX, sort_for_lens, spread_sorted
 from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.bokeh.surroundings import Surroundings
 from telewide.cores import usable_cores
@@ -61,23 +63,83 @@ def render_bokeh(
         UsageError: focus, radius or highlights are no finite numbers, or below their least.
         InputError: the disparity has another size than the photo, or no known value.
     """
+    blur = Blur(focus_disparity_px, radius_per_px, sharp_px, highlights=highlights)
+    photo = sorted_by_blur(image_srgb, disparity_px, blur, around=around)
+    if photo is None:
+        return image_srgb.astype(np.float32, copy=True)
+    margin_px = 0 if around is None else around.margin_px
+    return rendered(photo, aperture=aperture, hw=disparity_px.shape, margin_px=margin_px)
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Blur of each disparity, and of what is clipped.
+
+    Attributes:
+        focus_disparity_px: the disparity that stays sharp, px.
+        radius_per_px: radius of the circle of confusion per px of disparity away from the focus, >= 0.
+        sharp_px: farthest and nearest disparity that stay sharp; None for the focus alone.
+        highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
+    """
+
+    focus_disparity_px: float
+    radius_per_px: float
+    sharp_px: tuple[float, float] | None = None
+    highlights: float = 1.0
+
+
+def sorted_by_blur(
+    image_srgb: FloatImage, disparity_px: FloatMap, blur: Blur, *, around: Surroundings | None = None
+) -> SortedPhoto | None:
+    """Sort a photo, with what lies around it, for :func:`rendered`, which needs nothing else of it: it may be let go.
+
+    Args:
+        image_srgb: (H, W, 3) float32, the sharp photo; values above 1 (recovered highlights) are welcome.
+        disparity_px: (H, W) float32, px, on the photo; what is not finite is filled from its nearest neighbour.
+        blur: of its disparities.
+        around: what lies beyond the frame; beyond that, or without, the world is mirrored.
+
+    Returns:
+        The sorted photo, its frame in the middle of what lies around; None where all of it is sharp.
+
+    Raises:
+        UsageError: focus, radius or highlights are no finite numbers, or below their least.
+        InputError: the disparity has another size than the photo, or no known value.
+    """
+    focus_disparity_px, radius_per_px = blur.focus_disparity_px, blur.radius_per_px
     if not (math.isfinite(radius_per_px) and radius_per_px >= 0 and math.isfinite(focus_disparity_px)):
         raise UsageError(
             f"blur of {radius_per_px} px per px at focus {focus_disparity_px} px: both must be finite, the blur >= 0"
         )
     if image_srgb.shape[:2] != disparity_px.shape:
         raise InputError(f"the disparity is {disparity_px.shape}, the photo {image_srgb.shape[:2]}: sizes must agree")
-    cap_px, frame = min(disparity_px.shape) * LARGEST_RADIUS_SHARE, (slice(None), slice(None))
+    cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
     if around is not None:
-        image_srgb, disparity_px, frame = around.of(image_srgb), around.of_map(disparity_px), around.frame
-    radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, sharp_px)
+        image_srgb, disparity_px = around.of(image_srgb), around.of_map(disparity_px)
+    radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, blur.sharp_px)
     radius_px *= np.float32(radius_per_px)
     np.clip(radius_px, -cap_px, cap_px, out=radius_px)
-    if float(np.abs(radius_px).max()) <= IN_FOCUS_PX:
-        return image_srgb[frame].astype(np.float32, copy=True)
-    light = [with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=highlights)]
+    if max(-float(radius_px.min()), float(radius_px.max())) <= IN_FOCUS_PX:
+        return None
+    light = with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=blur.highlights)
     del image_srgb, disparity_px  # held by nobody else where they were enlarged
-    spread = spread_light(light.pop(), radius_px, aperture=aperture)[frame]
+    return sort_for_lens(light, radius_px)
+
+
+def rendered(photo: SortedPhoto, *, aperture: Aperture, hw: tuple[int, ...], margin_px: int) -> FloatImage:
+    """Render a sorted photo through a lens.
+
+    Args:
+        photo: of :func:`sorted_by_blur`.
+        aperture: shape of the opening.
+        hw: height and width of the frame, px.
+        margin_px: of what lies around it, on each side.
+
+    Returns:
+        (hw[0], hw[1], 3) float32, sRGB; beyond [0, 1] only where the photo was, or highlights are.
+    """
+    rows, columns = (slice(margin_px, margin_px + size) for size in hw)
+    spread = spread_sorted(photo, aperture=aperture)[rows, columns]
     return _by_strips(srgb_from_linear, spread, out=spread)
 
 

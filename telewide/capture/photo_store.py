@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,22 @@ MAX_BYTES = 512 << 20
 _STRIP_ROWS = 128
 
 
+@dataclass(frozen=True)
+class HeldPhoto:
+    """A decoded photo, in a quarter of its memory where it has 8 bits."""
+
+    _levels: FloatImage | ByteImage
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes."""
+        return self._levels.nbytes
+
+    def pixels(self) -> FloatImage:
+        """Return it as (H, W, 3) float32; it may be shared with later calls, so it must not be changed."""
+        return _photo_of(self._levels)
+
+
 class PhotoStore:
     """Reads photos, and keeps the first ones within a budget of memory.
 
@@ -23,7 +40,7 @@ class PhotoStore:
 
     def __init__(self, *, max_bytes: int = MAX_BYTES) -> None:
         self._max_bytes = max_bytes
-        self._kept: dict[Path, FloatImage | ByteImage] = {}
+        self._kept: dict[Path, HeldPhoto] = {}
 
     @property
     def kept_bytes(self) -> int:
@@ -43,13 +60,16 @@ class PhotoStore:
             UsageError: there is no such file.
             InputError: it cannot be read.
         """
-        if path in self._kept:
-            return _photo_of(self._kept[path])
-        photo = read_image(path)
-        kept = _levels_of(photo)
-        if self.kept_bytes + kept.nbytes <= self._max_bytes:
-            self._kept[path] = kept
-        return photo
+        return self.hold(path).pixels()
+
+    def hold(self, path: Path) -> HeldPhoto:
+        """Return a photo for use now and later, decoded unless it is kept; raises as :meth:`read` does."""
+        if path not in self._kept:
+            photo = HeldPhoto(_levels_of(read_image(path)))
+            if self.kept_bytes + photo.nbytes > self._max_bytes:
+                return photo
+            self._kept[path] = photo
+        return self._kept[path]
 
 
 def _levels_of(photo: FloatImage) -> FloatImage | ByteImage:

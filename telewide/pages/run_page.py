@@ -6,7 +6,7 @@ import itertools
 import logging
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -15,7 +15,6 @@ import numpy as np
 from telewide.bokeh.focus import Focus
 from telewide.bokeh.picture import BokehOptions
 from telewide.capture.images import read_image
-from telewide.capture.pair import PhotoPair
 from telewide.depth.formats.numpy_archive import NPZ_NAME, read_disparity
 from telewide.depth.preview import disparity_panel, display_range_px
 from telewide.depth.result import DepthResult
@@ -36,7 +35,7 @@ from telewide.pages.report import (
     thumbnail_wh,
     write_report,
 )
-from telewide.pages.viewed import DEFAULT_LIGHTS, Metric, Opening, viewed_capture
+from telewide.pages.viewed import DEFAULT_LIGHTS, Metric, Opening, framed, shown_wh, viewed_capture
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.text import Invocation, command_line
 from telewide.training.log import LogLine, read_log
@@ -54,7 +53,8 @@ _MOST_PAGE_BYTES = 1 << 28
 
 
 def report_row(
-    pair: PhotoPair,
+    name: str,
+    read: Callable[[str], FloatImage],
     folder: Path,
     *,
     root: Path,
@@ -66,7 +66,8 @@ def report_row(
     """The line of one capture: its photos, preview and bokeh, its numbers, and what a person can look at closely.
 
     Args:
-        pair: the two photos.
+        name: of the capture.
+        read: reads the photo of a view, tele or wide; one is let go before the next, as they are large.
         folder: where its depth was written.
         root: folder of the report, which links lead from.
         numbers: as the pipeline gives them.
@@ -74,32 +75,32 @@ def report_row(
         corrected: folder with the corrected pair; None where there is none.
         bokeh_asked: what the page opens with; None where none was asked for.
     """
-    tele, wide = (upright(photo, rotated_deg=rotated_deg) for photo in (pair.tele, pair.wide))
-    pictures = [thumbnail("wide", wide), thumbnail("tele", tele)]
-    others = {"wide": wide}
+    tele = upright(read("tele"), rotated_deg=rotated_deg)
+    tele_hw, wh = tele.shape[:2], shown_wh((tele.shape[1], tele.shape[0]))
+    of_tele, tele = _seen("tele", tele, wh=wh)
+    of_wide, wide = _seen("wide", upright(read("wide"), rotated_deg=rotated_deg), wh=wh)
+    pictures, last, others, viewed = [of_wide, of_tele], [], {"wide": wide}, None
     bokeh = folder / BOKEH_NAME
     if is_file(bokeh):
-        others["bokeh"] = read_image(bokeh)
-    viewed = None
+        of_bokeh, others["bokeh"] = _seen("bokeh", read_image(bokeh), wh=wh, link=_link(bokeh, root))
+        last.append(of_bokeh)
     try:
         disparity = read_disparity(folder / NPZ_NAME)
         pictures.append(_disparity_picture(disparity, folder, root))
-        corrections = {} if corrected is None else _corrected_pictures(corrected, rotated_deg=rotated_deg)
-        if disparity.disparity_px.shape == tele.shape[:2] and np.isfinite(disparity.disparity_px).any():
-            metric = _metric_of(folder / NPZ_NAME)
-            viewed = viewed_capture(
-                tele,
-                disparity,
-                others={**others, **corrections},
-                metric=metric,
-                name=pair.name,
-                opening=_opening_of(bokeh_asked, numbers),
-            )
+        others |= {} if corrected is None else _corrected_pictures(corrected, rotated_deg=rotated_deg)
+        if disparity.disparity_px.shape == tele_hw and np.isfinite(disparity.disparity_px).any():
+            metric, opening = _metric_of(folder / NPZ_NAME), _opening_of(bokeh_asked, numbers)
+            viewed = viewed_capture(tele, disparity, others=others, metric=metric, name=name, opening=opening)
     except TelewideError as error:
         _log.warning("%s; the report goes without its picture: remove it, and it is made again", error.message)
-    if "bokeh" in others:
-        pictures.append(thumbnail("bokeh", others["bokeh"], link=_link(bokeh, root)))
-    return ReportRow(pair.name, tuple(pictures), _table_line(numbers), viewed)
+    return ReportRow(name, (*pictures, *last), _table_line(numbers), viewed)
+
+
+def _seen(
+    label: str, picture: FloatImage, *, wh: tuple[int, int], link: str | None = None
+) -> tuple[Picture, FloatImage]:
+    """A picture as small as it is listed, and as it fills the frame in which a capture is looked at."""
+    return thumbnail(label, picture, link=link), framed(picture, wh=wh)
 
 
 def _opening_of(asked: BokehOptions | None, numbers: Mapping[str, float]) -> Opening | None:

@@ -81,8 +81,8 @@ def viewed_capture(
     """Gather what the page needs of a capture, as plain data.
 
     Args:
-        photo: (H, W, 3) the tele photo, upright, sRGB in [0, 1].
-        disparity: (H, W) on it.
+        photo: (h, w, 3) the tele photo, upright, sRGB in [0, 1]; of any size, as it is shown smaller.
+        disparity: (H, W) on it, at its full size.
         others: further pictures to compare it with, by their labels, of any size.
         metric: how disparity becomes metres; None where that is not known.
         name: of the capture.
@@ -91,14 +91,15 @@ def viewed_capture(
     Raises:
         InputError: no disparity is known.
     """
-    wh = _shown_wh((photo.shape[1], photo.shape[0]))
-    small, maps = _scaled(photo, wh=wh), _resized(disparity, wh=wh)
+    height, width = disparity.disparity_px.shape
+    wh = shown_wh((width, height))
+    small, maps = framed(photo, wh=wh), _resized(disparity, wh=wh)
     levels = sort_by_level(small, maps.disparity_px)
     known = np.isfinite(maps.disparity_px)
     low_px, high_px = float(maps.disparity_px[known].min()), float(maps.disparity_px[known].max())
-    opens = _default_opening(maps, metric) if opening is None else _made_smaller(opening, wh[0] / photo.shape[1])
+    opens = _default_opening(maps, metric) if opening is None else _made_smaller(opening, wh[0] / width)
     result = DepthResult(name=name, disparity=maps)
-    pictures = {"tele": small, **{label: _scaled(other, wh=wh) for label, other in others.items()}}
+    pictures = {"tele": small, **{label: framed(other, wh=wh) for label, other in others.items()}}
     pictures["disparity"] = disparity_panel(result, wh=wh)
     lights = np.round(255 * light_share(small)).astype(np.uint8)
     by_level = np.dstack([levels.level, levels.hidden_level, lights])
@@ -106,7 +107,7 @@ def viewed_capture(
     return {
         "name": name,
         "wh": list(wh),
-        "photoPx": photo.shape[1] / wh[0],
+        "photoPx": width / wh[0],
         **_encoded(pictures, hidden=levels.hidden, most_bytes=MOST_BYTES - sum(len(png) for png in maps_png.values())),
         **maps_png,
         "levelEnds": list(levels.ends_px),
@@ -159,13 +160,19 @@ def _like_f_number(blur: float, metric: Metric | None) -> float:
     return radius_per_px_from_f_number(f_number=1.0, baseline_m=metric.baseline_m) / blur
 
 
-def _shown_wh(wh: tuple[int, int]) -> tuple[int, int]:
+def shown_wh(wh: tuple[int, int]) -> tuple[int, int]:
+    """Tell the size at which a photo of a size is shown: that of the frame of all its pictures."""
     fitted = fitted_wh(wh, box_wh=(LONGEST_PX, LONGEST_PX))
     return fitted if fitted[0] < wh[0] else wh
 
 
-def _scaled(picture: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
-    """A picture as large as the frame allows, on grey where its sides are of another proportion."""
+def framed(picture: FloatImage, *, wh: tuple[int, int]) -> FloatImage:
+    """Make a picture as large as a frame allows, on grey where its sides are of another proportion.
+
+    Args:
+        picture: (H, W, 3) RGB in [0, 1].
+        wh: width and height of the frame.
+    """
     if (picture.shape[1], picture.shape[0]) == wh:
         return picture
     inner = fitted_wh((picture.shape[1], picture.shape[0]), box_wh=wh)

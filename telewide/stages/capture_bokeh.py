@@ -66,7 +66,7 @@ class CaptureBokeh:
 
 
 def bokeh_of_capture(
-    photo: FloatMap,
+    read_photo: Callable[[], FloatMap],
     result: DepthResult,
     source: Capture,
     *,
@@ -77,7 +77,7 @@ def bokeh_of_capture(
     """Make the bokeh picture of one capture.
 
     Args:
-        photo: (H, W, 3) the tele photo, upright.
+        read_photo: reads the tele photo, (H, W, 3), upright; called again where it is needed again.
         result: its depth, upright.
         source: the photos as taken.
         options: of the picture.
@@ -94,11 +94,13 @@ def bokeh_of_capture(
     carried, maps, baseline_m = read_carried(source.tele_path), result.disparity, result.baseline_m
     of_photo = read_photo_facts(source.tele_path)
     subject_uv = _upright_place(of_photo.subject_uv, turned_deg=turned_deg)
-    named = named_focus(options.focus, subject_uv, hw=(photo.shape[0], photo.shape[1]))
+    named = named_focus(options.focus, subject_uv, hw=maps.disparity_px.shape)
     focus = find_focus(maps.disparity_px, maps.confidence, focus=named, disparity_at_m=result.disparity_at)
-    own = in_own_colours(photo, source, carried, turned_deg=turned_deg)
-    wide = None if beyond is None else partial(beyond.wide_view, source, result, is_converted=own is photo)
-    pixels = _rendered(own, result, options=options, focus=focus, wide=wide)
+    is_own = has_own_colours(carried)
+    if is_own:
+        read_photo = partial(read_in_own_colours, source, turned_deg=turned_deg)
+    wide = None if beyond is None else partial(beyond.wide_view, source, result, is_converted=not is_own)
+    pixels = _rendered(read_photo, result, options=options, focus=focus, wide=wide)
     numbers = _focus_numbers(focus, result)
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
@@ -116,28 +118,34 @@ def bokeh_of_capture(
 
 
 def _rendered(
-    own: FloatMap, result: DepthResult, *, options: BokehOptions, focus: Focus, wide: Callable[[], WideView] | None
+    read_photo: Callable[[], FloatMap],
+    result: DepthResult,
+    *,
+    options: BokehOptions,
+    focus: Focus,
+    wide: Callable[[], WideView] | None,
 ) -> FloatMap:
     maps, baseline_m = result.disparity, result.baseline_m
     if options.is_preview:
-        return bokeh_preview(own, maps, options=options, baseline_m=baseline_m, focus=focus)
-    return bokeh_picture(own, maps, options=options, baseline_m=baseline_m, focus=focus, wide=wide)
+        return bokeh_preview(read_photo(), maps, options=options, baseline_m=baseline_m, focus=focus)
+    return bokeh_picture(read_photo, maps, options=options, baseline_m=baseline_m, focus=focus, wide=wide)
 
 
-def in_own_colours(photo: FloatMap, source: Capture, carried: CarriedFacts, *, turned_deg: int) -> FloatMap:
-    """Return the tele photo in the colours of its profile, which may be wider than sRGB.
+def has_own_colours(carried: CarriedFacts) -> bool:
+    """Whether a photo has colours of a profile other than sRGB, which may be wider."""
+    return carried.profile is not None and is_other_than_srgb(carried.profile)
+
+
+def read_in_own_colours(source: Capture, *, turned_deg: int) -> FloatMap:
+    """Read the tele photo in the colours of its profile.
 
     Args:
-        photo: (H, W, 3) upright, sRGB.
-        source: where it is read from again, unless its colours are those of sRGB.
-        carried: its facts.
+        source: where it is read from.
         turned_deg: how far it was turned clockwise to stand upright.
 
     Returns:
         (H, W, 3) in [0, 1]; light adds up in these colours as well.
     """
-    if carried.profile is None or not is_other_than_srgb(carried.profile):
-        return photo
     return upright(read_image(source.tele_path, is_converted=False), rotated_deg=turned_deg)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from telewide.bokeh.picture import HELD_BACK, BokehOptions
 from telewide.capture.carried import read_carried
 from telewide.capture.pair import Capture, CaptureFacts, Problem, read_pair, read_truth
-from telewide.capture.photo_store import PhotoStore
+from telewide.capture.photo_store import HeldPhoto, PhotoStore
 from telewide.capture.pictures import PictureFacts, write_picture
 from telewide.cores import return_freed_memory
 from telewide.depth.export import ALWAYS, DEFAULT_FORMATS, IN_OWN_COLOURS, WITH_FACTS, file_names, write_depth
@@ -40,9 +40,10 @@ from telewide.stages.capture_bokeh import (
     CaptureBokeh,
     bokeh_names,
     bokeh_of_capture,
-    in_own_colours,
+    has_own_colours,
     no_bokeh_note,
     no_exr_note,
+    read_in_own_colours,
     software,
 )
 from telewide.stages.kept_depth import (
@@ -166,7 +167,7 @@ def depth_of_capture(
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
-            picture = found.bokeh(source, bokeh, turned_deg=turned_deg, beyond=beyond_frame(held_out, shot, photos))
+            picture = found.bokeh(source, bokeh, beyond=beyond_frame(held_out, shot, photos))
         made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
@@ -187,20 +188,25 @@ def _outcome(name: str, folder: Path, made: KeptDepth) -> DepthOutcome:
 class _Depth:
     """Photo and depth of one capture, upright, and what is told of it; what lies there already of it, or None."""
 
-    photo: FloatMap
+    held: HeldPhoto
+    turned_deg: int
     result: DepthResult
     notes: tuple[str, ...]
     numbers: Mapping[str, float]
     withheld: str | None = None
     lying: KeptDepth | None = None
 
+    def photo(self) -> FloatMap:
+        """Make the photo of what is held of it; a while later it may be needed no more."""
+        return upright(self.held.pixels(), rotated_deg=self.turned_deg)
+
     def bokeh(
-        self, source: Capture, options: BokehOptions | None, *, turned_deg: int, beyond: BeyondFrame | None
+        self, source: Capture, options: BokehOptions | None, *, beyond: BeyondFrame | None
     ) -> CaptureBokeh | None:
         if options is None:
             return None
         picture = bokeh_of_capture(
-            self.photo, self.result, source, options=options, turned_deg=turned_deg, beyond=beyond
+            self.photo, self.result, source, options=options, turned_deg=self.turned_deg, beyond=beyond
         )
         return_freed_memory()
         return picture
@@ -226,9 +232,9 @@ class _Asked:
         if WITH_FACTS.intersection(formats):
             carried = read_carried(self.source.tele_path)
             facts = PictureFacts(software(), of_photo=carried, is_stripped=self.is_stripped)
-            if IN_OWN_COLOURS.intersection(formats):
-                own = in_own_colours(depth.photo, self.source, carried, turned_deg=self.turned_deg)
-        return write_depth(folder, depth.result, image=depth.photo, formats=formats, facts=facts, own_colours=own)
+            if IN_OWN_COLOURS.intersection(formats) and has_own_colours(carried):
+                own = read_in_own_colours(self.source, turned_deg=self.turned_deg)
+        return write_depth(folder, depth.result, image=depth.photo(), formats=formats, facts=facts, own_colours=own)
 
 
 def _kept(
@@ -242,11 +248,9 @@ def _kept(
         result = read_result(folder / NPZ_NAME, name=source.name)
     except TelewideError:
         return None
-    photo = upright(photos.read(source.tele_path), rotated_deg=turned_deg)
-    if photo.shape[:2] != result.disparity.disparity_px.shape:
-        return None
-    of = lying.depth
-    return _Depth(photo, result, of.notes, numbers=of.numbers, withheld=lying.withheld, lying=lying)
+    held, of = photos.hold(source.tele_path), lying.depth
+    found = _Depth(held, turned_deg, result, of.notes, numbers=of.numbers, withheld=lying.withheld, lying=lying)
+    return found if found.photo().shape[:2] == result.disparity.disparity_px.shape else None
 
 
 def _matched(
@@ -267,15 +271,16 @@ def _matched(
     del pair
     return_freed_memory()
     numbers = {"match_s": time.monotonic() - begun_s}
-    photo = photos.read(source.tele_path)
-    result, metric_notes, withheld = depth_on_photo(working, photo, name=source.name, facts=facts, shot=shot)
+    held = photos.hold(source.tele_path)
+    result, metric_notes, withheld = depth_on_photo(working, held.pixels(), name=source.name, facts=facts, shot=shot)
     numbers |= summarise_errors(match_errors_px(working.disparity_px, held_out))
     errors, unjudged = _errors_by_truth(source, result, is_mirrored=shot is None and facts.wide_side == "left")
     numbers |= errors
-    photo, result = upright(photo, rotated_deg=result.rotated_deg), stood_upright(result)
+    turned_deg, result = result.rotated_deg, stood_upright(result)
     return_freed_memory()
     numbers["total_s"] = time.monotonic() - begun_s
-    return _Depth(photo, result, (*metric_notes, *unjudged), numbers=numbers, withheld=withheld)
+    notes = (*metric_notes, *unjudged)
+    return _Depth(held, turned_deg, result, notes, numbers=numbers, withheld=withheld)
 
 
 def _errors_by_truth(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from telewide.bokeh.picture import BokehOptions
-from telewide.capture.images import read_image
-from telewide.capture.pair import read_photos
+from telewide.capture.pair import Capture
+from telewide.capture.photo_store import PhotoStore
+from telewide.geometry.arrays import FloatImage
 from telewide.pages.report import NextStep, ReportRow
 from telewide.pages.run_page import (
     CAPTURES_A_PAGE,
@@ -117,7 +119,8 @@ def _rows(
     for shown in sorted((*made, *others), key=lambda one: one.capture.name):
         name = shown.capture.name
         row = report_row(
-            read_photos(shown.capture, read=call.photos.read if name in captures else read_image),
+            name,
+            partial(_photo, shown.capture, call.photos if name in captures else PhotoStore(max_bytes=0)),
             done.folder / name,
             root=root,
             numbers=shown.numbers,
@@ -130,3 +133,8 @@ def _rows(
             notes=notes_of(name, depth=done.folder / name, pair=call.folder.pairs / name),
             made_by=made_by(done.folder / name, run_weights=call.folder.weights),
         )
+
+
+def _photo(capture: Capture, photos: PhotoStore, view: str) -> FloatImage:
+    """Read the photo of a view, tele or wide."""
+    return photos.read(capture.tele_path if view == "tele" else capture.wide_path)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from telewide.capture.images import write_image
-from telewide.capture.pair import PhotoPair
 from telewide.cli import main
 from telewide.cli.bokeh import BokehWords
 from telewide.depth.export import write_depth
@@ -74,8 +73,7 @@ def test_all_pictures_of_a_capture_stand_alike(
     result = DepthResult("one", DisparityMap(one, one, one > 0), rotated_deg=rotated_deg)
     write_depth(tmp_path / "one", result, image=photo)
     write_image(tmp_path / "one" / "bokeh.jpg", upright(photo, rotated_deg=rotated_deg))
-    pair = PhotoPair("one", photo, photo)
-    row = report_row(pair, tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=rotated_deg)
+    row = report_row("one", lambda _: photo, tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=rotated_deg)
     assert [picture.wh for picture in row.pictures] == [wh] * 4
 
 
@@ -85,7 +83,7 @@ def test_a_depth_that_cannot_be_read_leaves_its_picture_out_and_is_said(
     photo = rng.uniform(size=(60, 80, 3)).astype(np.float32)
     (tmp_path / "depth.npz").write_bytes(b"garbage")
     with caplog.at_level(logging.WARNING):
-        row = report_row(PhotoPair("one", photo, photo), tmp_path, root=tmp_path, numbers={})
+        row = report_row("one", lambda _: photo, tmp_path, root=tmp_path, numbers={})
     assert [picture.label for picture in row.pictures] == ["wide", "tele"]
     assert "depth.npz is corrupt" in caplog.text
 
@@ -106,7 +104,7 @@ def test_pixels_of_two_sizes_are_told_apart(tmp_path: Path, rng: np.random.Gener
     one = np.ones(photo.shape[:2], np.float32)
     write_depth(tmp_path / "one", DepthResult("one", DisparityMap(one, one, one > 0)), image=photo)
     numbers = {"off_1px": 0.5, "EPE_px": 0.5}
-    row = report_row(PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers=numbers)
+    row = report_row("one", lambda _: photo, tmp_path / "one", root=tmp_path, numbers=numbers)
     matched, photos = row.numbers
     assert "px of the matched size" in matched
     assert "px of the photo" in photos
@@ -124,9 +122,7 @@ def test_lights_shine_on_the_page_unless_somebody_said_how_bright(
     numbers = {"focus_px": 9.0, "focus_x_px": 79.0, "focus_y_px": 30.0, "blur_per_px": 1.0}
     words = {} if stated is None else {"highlights": stated}
     asked = BokehWords(**words).options()
-    row = report_row(
-        PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers=numbers, bokeh_asked=asked
-    )
+    row = report_row("one", lambda _: photo, tmp_path / "one", root=tmp_path, numbers=numbers, bokeh_asked=asked)
     assert row.viewed is not None
     assert (row.viewed["focus"], row.viewed["lights"]) == ([79, 30], shown)
 
@@ -138,7 +134,7 @@ def test_guesses_look_hatched_on_the_page_whatever_the_size_of_the_photo(tmp_pat
     valid = np.arange(hw[1])[None].repeat(hw[0], axis=0) < hw[1] // 2
     write_depth(tmp_path / "one", DepthResult("one", DisparityMap(disparity_px, np.ones(hw, np.float32), valid)))
     photo = np.zeros((150, 200, 3), np.float32)
-    picture = report_row(PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers={}).pictures[2]
+    picture = report_row("one", lambda _: photo, tmp_path / "one", root=tmp_path, numbers={}).pictures[2]
     shown = cv2.imdecode(np.frombuffer(picture.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE).astype(np.float64)
     ripple = np.abs(np.diff(shown, axis=0)).mean(axis=0)  # along columns the colour does not change
     half = shown.shape[1] // 2
@@ -154,9 +150,7 @@ def test_corrected_views_are_grey_where_their_photos_do_not_reach(tmp_path: Path
     valid[:, 40:] = 1
     write_image(tmp_path / "pair" / "wide.png", photo)
     write_image(tmp_path / "pair" / "wide_valid.png", valid)
-    row = report_row(
-        PhotoPair("one", photo, photo), tmp_path / "one", root=tmp_path, numbers={}, corrected=tmp_path / "pair"
-    )
+    row = report_row("one", lambda _: photo, tmp_path / "one", root=tmp_path, numbers={}, corrected=tmp_path / "pair")
     assert row.viewed is not None
     pictures = row.viewed["pictures"]
     assert list(pictures) == ["tele", "wide", "wide, corrected", "disparity"]  # type: ignore[call-overload]

@@ -79,7 +79,7 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
     assert picture in made(capture, tmp_path / "run", bokeh=wide_open, facts=known).paths
     disparity = stepped(np.zeros(HW), np.zeros(HW), window=WINDOW)
     with pytest.raises(UsageError, match="`strength`"):
-        bokeh_picture(np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
+        bokeh_picture(lambda: np.zeros((*HW, 3), np.float32), disparity, options=wide_open, baseline_m=None)
 
 
 @pytest.mark.parametrize("rotated_deg", [0, 90, 180, 270])
