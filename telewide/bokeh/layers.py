@@ -80,6 +80,10 @@ class Box:
         bottom, right = min(self.bottom, other.bottom), min(self.right, other.right)
         return Box(top, max(bottom, top), left, max(right, left))
 
+    def moved(self, other: Box) -> Box:
+        """The same box, counted from another's corner, counted from where that one is."""
+        return Box(self.top + other.top, self.bottom + other.top, self.left + other.left, self.right + other.left)
+
     def seen_from(self, other: Box) -> Box:
         """The same box counted from another's corner."""
         return Box(self.top - other.top, self.bottom - other.top, self.left - other.left, self.right - other.left)
@@ -277,7 +281,7 @@ class SortedPhoto:
         """Light and coverage (h, w, 4) of a bin's rear parts, in cells."""
         seen = np.zeros((box.hw[0] // cell, box.hw[1] // cell, 4), np.float32)
         for tile in tiles_of(box.hw, TILE_PX):
-            there = Box(tile.top + box.top, tile.bottom + box.top, tile.left + box.left, tile.right + box.left).slices
+            there = tile.moved(box).slices
             mask = (self.rear_bin[there] == index).view(np.uint8)
             if mask.any():
                 own = np.asarray(cv2.copyTo(self.rear[there], mask), dtype=np.float32)

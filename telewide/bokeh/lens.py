@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -32,6 +32,7 @@ CELLS_A_RADIUS = 8.0  # of a disk, at most; where there would be more, cells of 
 FINE_CELL_PX = 2  # layers of cells up to this size are drawn tile by tile
 COARSEST_FILL_PX = 8  # cells in which a layer around the focus is continued behind others
 TILE_PX = 512
+BAND_TILES = 2  # rows of tiles; what lies hidden in them is known at a time
 
 Quarters = list[FloatMap]
 
@@ -88,6 +89,11 @@ class _View:
         return (abs(self.radius_px(index)) + nearer_px) * self.aperture.reach + 1
 
     @property
+    def halo_px(self) -> int:
+        """How far around a tile its layers are drawn, so that their disks reach into it."""
+        return (math.ceil(CELLS_A_RADIUS * FINE_CELL_PX * self.aperture.reach) + 4) // 2 * 2
+
+    @property
     def fill_cell(self) -> int:
         return min(max(_cell_of(self.largest_px) // 2, 1), COARSEST_FILL_PX)
 
@@ -130,16 +136,23 @@ def spread_sorted(photo: SortedPhoto, *, aperture: Aperture = DISK) -> FloatImag
     coarse = [index for index in present if view.cell(index) > FINE_CELL_PX]
     far = _stacked(view, (index for index in coarse if view.radius_px(index) < 0), is_over=True)
     near = _stacked(view, (index for index in reversed(coarse) if view.radius_px(index) > 0), is_over=False)
-    hidden = _hidden_of_all(view, fine)
     return_freed_memory()
     spread = np.empty((*photo.hw, 3), np.float32)
 
-    def draw(tile: Box) -> None:
+    def draw(tile: Box, hidden: dict[int, _Seen]) -> None:
         spread[tile.slices] = _drawn(view, tile, fine=fine, hidden=hidden, far=far, near=near)
 
     with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
-        list(pool.map(draw, tiles_of(photo.hw, TILE_PX)))
+        for band in _bands_of(photo.hw):
+            hidden = _hidden_in(view, fine, band)
+            list(pool.map(partial(draw, hidden=hidden), (tile.moved(band) for tile in tiles_of(band.hw, TILE_PX))))
     return spread
+
+
+def _bands_of(hw: tuple[int, int]) -> list[Box]:
+    """Cut a frame into rows of tiles, a few of them at a time: what is hidden in them is held in memory."""
+    rows = BAND_TILES * TILE_PX
+    return [Box(top, min(top + rows, hw[0]), 0, hw[1]) for top in range(0, hw[0], rows)]
 
 
 def _cell_of(radius_px: float) -> int:
@@ -158,26 +171,26 @@ def _stacked(view: _View, order: Iterable[int], *, is_over: bool) -> _Seen | Non
     return stack
 
 
-def _hidden_of_all(view: _View, fine: list[int]) -> dict[int, _Seen]:
+def _hidden_in(view: _View, fine: list[int], band: Box) -> dict[int, _Seen]:
     """Fine layers with what they continue to behind others; empty where those are so small that tiles look for it."""
-    cell = view.fill_cell
-    if cell <= FINE_CELL_PX:
+    if view.fill_cell <= FINE_CELL_PX:
         return {}
-    return {index: _hidden(view, index, view.frame) for index in fine}
+    box = band.grown(view.halo_px + 2 * view.fill_cell, hw=view.photo.hw)
+    return {index: _hidden(view, index, box) for index in fine}
 
 
 def _hidden(view: _View, index: int, box: Box) -> _Seen:
-    cell = view.fill_cell
-    layer = view.photo.continued(index, box, cell=cell, reach_px=view.reach_px(index))
-    return _Seen([layer], box, cell)
+    """A layer with what it continues to, in a box and as far around as it may continue from there."""
+    cell, reach_px = view.fill_cell, view.reach_px(index)
+    wide = box.grown(math.ceil(reach_px), hw=view.photo.hw).outward(cell)
+    return _Seen([view.photo.continued(index, wide, cell=cell, reach_px=reach_px)], wide, cell)
 
 
 def _drawn(
     view: _View, tile: Box, *, fine: list[int], hidden: dict[int, _Seen], far: _Seen | None, near: _Seen | None
 ) -> FloatImage:
     """Draw one tile, (h, w, 3): the far stack, the fine layers far to near, the near stack."""
-    halo_px = math.ceil(CELLS_A_RADIUS * FINE_CELL_PX * view.aperture.reach) + 4
-    box = tile.grown(halo_px // 2 * 2, hw=view.photo.hw)
+    box = tile.grown(view.halo_px, hw=view.photo.hw)
     in_sight = view.photo.bins_in(box)
     reach_px = math.ceil(2 * view.largest_px * view.aperture.reach)
     around = view.photo.bins_in(tile.grown(reach_px, hw=view.photo.hw))
@@ -203,7 +216,7 @@ def _drawn(
 
 @dataclass(frozen=True)
 class _FineLayers:
-    """Layers around the focus, within a box; what they continue to in cells, where that is known of the whole photo."""
+    """Layers around the focus, within a box; what they continue to in cells, where that is known of a whole band."""
 
     view: _View
     box: Box
@@ -230,8 +243,7 @@ class _FineLayers:
             return photo.layer_of(index, box, hidden=None, fronts=self.fronts)
         whole = self.hidden.get(index)
         if whole is None:
-            margin_px = math.ceil(self.view.reach_px(index))
-            whole = _hidden(self.view, index, box.grown(margin_px, hw=photo.hw).outward(self.view.fill_cell))
+            whole = _hidden(self.view, index, box)
         return photo.layer_of(index, box, hidden=whole.at(box, cell=1).quarters[0], fronts=self.fronts)
 
 

@@ -40,7 +40,7 @@ def test_a_photo_on_its_side_is_blurred_as_one_held_upright(scene_px: np.ndarray
         turned_px, turned = (np.ascontiguousarray(np.rot90(values, turns)) for values in (scene_px, photo))
         disparity = DisparityMap(turned_px, np.ones_like(turned_px), np.ones(turned_px.shape, np.bool_))
         focus = Focus(12.0, 0, 0)
-        pictures.append(bokeh_picture(turned, disparity, options=BokehOptions(), baseline_m=None, focus=focus))
+        pictures.append(bokeh_picture(turned.copy, disparity, options=BokehOptions(), baseline_m=None, focus=focus))
     np.testing.assert_allclose(np.rot90(pictures[0]), pictures[1], atol=0.02)
 
 
@@ -50,7 +50,7 @@ def test_a_preview_is_the_picture_made_smaller(options: BokehOptions) -> None:
     photo, disparity_px = np.clip(srgb_from_linear(world.photo_linear()), 0, 1), 40 * world.disparity_px()
     maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
     focus = find_focus(disparity_px, maps.confidence, focus="auto")
-    whole = bokeh_picture(photo, maps, options=options, baseline_m=0.012, focus=focus)
+    whole = bokeh_picture(lambda: photo, maps, options=options, baseline_m=0.012, focus=focus)
     small = bokeh_preview(photo, maps, options=options, baseline_m=0.012, focus=focus)
     assert small.shape == (96, 96, 3)
     expected = cv2.resize(whole, (96, 96), interpolation=cv2.INTER_AREA)
@@ -157,7 +157,7 @@ def test_auto_keeps_the_whole_subject_sharp_and_blurs_the_rest(rng: np.random.Ge
     disparity_px = np.where(ball, 30 + 4 * np.sqrt(np.maximum(0.25 - x**2 - y**2, 0)), 6).astype(np.float32)
     photo = rng.random((*ball.shape, 3), dtype=np.float32)
     maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(ball.shape, np.bool_))
-    picture = bokeh_picture(photo, maps, options=BokehOptions(strength_px=8.0), baseline_m=None)
+    picture = bokeh_picture(lambda: photo, maps, options=BokehOptions(strength_px=8.0), baseline_m=None)
     well_inside = np.hypot(x, y) < 0.4
     np.testing.assert_allclose(picture[well_inside], photo[well_inside], atol=1e-4)
     assert picture[~ball].std() < 0.5 * photo[~ball].std()

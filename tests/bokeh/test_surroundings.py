@@ -143,7 +143,7 @@ FOCUS = Focus(0.0, 0, 0)
 
 def picture(seen: Scene, wide: object, *, options: BokehOptions = BLURRED, focus: Focus = FOCUS) -> np.ndarray:
     maps = DisparityMap(seen.disparity_px, np.ones_like(seen.disparity_px), np.ones(seen.disparity_px.shape, bool))
-    return bokeh_picture(seen.tele, maps, options=options, baseline_m=None, focus=focus, wide=wide)
+    return bokeh_picture(lambda: seen.tele, maps, options=options, baseline_m=None, focus=focus, wide=wide)
 
 
 def test_blur_at_the_border_is_that_of_a_photo_that_shows_more() -> None:
