@@ -142,10 +142,13 @@ def spread_sorted(photo: SortedPhoto, *, aperture: Aperture = DISK) -> FloatImag
     def draw(tile: Box, hidden: dict[int, _Seen]) -> None:
         spread[tile.slices] = _drawn(view, tile, fine=fine, hidden=hidden, far=far, near=near)
 
+    def draw_band(band: Box, pool: ThreadPoolExecutor) -> None:
+        hidden = _hidden_in(view, fine, band)
+        list(pool.map(partial(draw, hidden=hidden), (tile.moved(band) for tile in tiles_of(band.hw, TILE_PX))))
+
     with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
         for band in _bands_of(photo.hw):
-            hidden = _hidden_in(view, fine, band)
-            list(pool.map(partial(draw, hidden=hidden), (tile.moved(band) for tile in tiles_of(band.hw, TILE_PX))))
+            draw_band(band, pool)
     return spread
 
 

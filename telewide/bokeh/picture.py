@@ -16,16 +16,16 @@ import numpy as np
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import AF_WORD, Focus, find_focus, named_distance_m, named_point
 from telewide.bokeh.layers import SortedPhoto
-from telewide.bokeh.lens import IN_FOCUS_PX
+from telewide.bokeh.lens import IN_FOCUS_PX, sort_for_lens
 from telewide.bokeh.render import (
     LARGEST_RADIUS_SHARE,
     Blur,
     away_from_focus_px,
     largest_step_px,
+    light_and_radius,
     radius_per_px_from_f_number,
     radius_per_px_from_strength,
     rendered,
-    sorted_by_blur,
 )
 from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.bokeh.surroundings import WideView, find_surroundings
@@ -245,15 +245,20 @@ def _sorted(
     wide: Callable[[], WideView] | None,
     margin_px: int,
 ) -> tuple[SortedPhoto | None, int]:
-    """Sort a photo by blur, with what wide shows around it; the photos go when this returns.
+    """Sort a photo by blur, with what wide shows around it; nothing else of it is left when this returns.
 
     Returns:
         The sorted photo, None where all of it is sharp; the margin around it, px, 0 where wide shows nothing there.
     """
-    photo, around = read_photo(), None
-    if wide is not None and margin_px > 0:
-        around = find_surroundings(photo, disparity_px, wide(), margin_px=margin_px)
-    return sorted_by_blur(photo, disparity_px, blur, around=around), 0 if around is None else margin_px
+
+    def lit() -> tuple[tuple[FloatMap, FloatMap] | None, int]:
+        photo, around = read_photo(), None
+        if wide is not None and margin_px > 0:
+            around = find_surroundings(photo, disparity_px, wide(), margin_px=margin_px)
+        return light_and_radius(photo, disparity_px, blur, around=around), 0 if around is None else margin_px
+
+    light, found_px = lit()  # the photos are let go
+    return None if light is None else sort_for_lens(*light), found_px
 
 
 def _margin_px(disparity_px: FloatMap, focus: Focus, reach_per_px: float) -> int:

@@ -64,9 +64,11 @@ def render_bokeh(
         InputError: the disparity has another size than the photo, or no known value.
     """
     blur = Blur(focus_disparity_px, radius_per_px, sharp_px, highlights=highlights)
-    photo = sorted_by_blur(image_srgb, disparity_px, blur, around=around)
-    if photo is None:
+    lit = light_and_radius(image_srgb, disparity_px, blur, around=around)
+    if lit is None:
         return image_srgb.astype(np.float32, copy=True)
+    photo = sort_for_lens(*lit)
+    del lit  # a third of the memory
     margin_px = 0 if around is None else around.margin_px
     return rendered(photo, aperture=aperture, hw=disparity_px.shape, margin_px=margin_px)
 
@@ -88,10 +90,10 @@ class Blur:
     highlights: float = 1.0
 
 
-def sorted_by_blur(
+def light_and_radius(
     image_srgb: FloatImage, disparity_px: FloatMap, blur: Blur, *, around: Surroundings | None = None
-) -> SortedPhoto | None:
-    """Sort a photo, with what lies around it, for :func:`rendered`, which needs nothing else of it: it may be let go.
+) -> tuple[FloatImage, FloatMap] | None:
+    """Make of a photo what a lens needs; the photo itself may be let go.
 
     Args:
         image_srgb: (H, W, 3) float32, the sharp photo; values above 1 (recovered highlights) are welcome.
@@ -100,7 +102,8 @@ def sorted_by_blur(
         around: what lies beyond the frame; beyond that, or without, the world is mirrored.
 
     Returns:
-        The sorted photo, its frame in the middle of what lies around; None where all of it is sharp.
+        Linear light (h, w, 3) and blur radius (h, w), px, the frame in the middle of what lies around; None where all
+        is sharp.
 
     Raises:
         UsageError: focus, radius or highlights are no finite numbers, or below their least.
@@ -121,16 +124,14 @@ def sorted_by_blur(
     np.clip(radius_px, -cap_px, cap_px, out=radius_px)
     if max(-float(radius_px.min()), float(radius_px.max())) <= IN_FOCUS_PX:
         return None
-    light = with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=blur.highlights)
-    del image_srgb, disparity_px  # held by nobody else where they were enlarged
-    return sort_for_lens(light, radius_px)
+    return with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=blur.highlights), radius_px
 
 
 def rendered(photo: SortedPhoto, *, aperture: Aperture, hw: tuple[int, ...], margin_px: int) -> FloatImage:
     """Render a sorted photo through a lens.
 
     Args:
-        photo: of :func:`sorted_by_blur`.
+        photo: of :func:`light_and_radius`, sorted.
         aperture: shape of the opening.
         hw: height and width of the frame, px.
         margin_px: of what lies around it, on each side.
