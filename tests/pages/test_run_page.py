@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import logging
 import shlex
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -158,3 +159,21 @@ def test_corrected_views_are_grey_where_their_photos_do_not_reach(tmp_path: Path
     shown = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE) / 255
     np.testing.assert_allclose(shown[:, :32], 0.5, atol=0.02)
     np.testing.assert_allclose(shown[:, 48:], 0.9, atol=0.02)
+
+
+def test_photos_are_shown_one_at_a_time(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A photo and its turned copy take 24 bytes a pixel, its depth 9; two photos so would take 48."""
+    hw = (2000, 3000)
+    levels = np.tile(rng.integers(0, 256, (20, 30, 3), dtype=np.uint8), (100, 100, 1))
+    disparity_px = np.tile(np.linspace(2, 9, hw[0], dtype=np.float32), (hw[1], 1))
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), disparity_px > 0)
+    write_depth(tmp_path / "one", DepthResult("one", maps), formats=("npz",))
+    write_image(tmp_path / "one" / "bokeh.jpg", np.rot90(levels) / np.float32(255))
+    tracemalloc.start()
+    row = report_row(
+        "one", lambda _: levels * np.float32(1 / 255), tmp_path / "one", root=tmp_path, numbers={}, rotated_deg=90
+    )
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert row.viewed is not None
+    assert peak < 48 * levels[..., 0].size
