@@ -90,7 +90,7 @@ class _View:
 
     @property
     def halo_px(self) -> int:
-        """How far around a tile its layers are drawn, so that their disks reach into it."""
+        """Margin around a tile in which its layers are drawn, so that their disks reach into it."""
         return (math.ceil(CELLS_A_RADIUS * FINE_CELL_PX * self.aperture.reach) + 4) // 2 * 2
 
     @property
