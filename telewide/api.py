@@ -310,6 +310,7 @@ def train(
     rig: AnyPath | None = None,
     device: Device = "auto",
     fresh: bool = False,
+    minutes: float | None = None,
     observer: Observer | None = None,
 ) -> TrainOutcome:
     """Train a network on a folder of captures, without labels, or continue a training.
@@ -323,10 +324,11 @@ def train(
         rig: rig file; None for the one that lies by the captures.
         device: to compute on.
         fresh: start over where a training lies in the run folder.
+        minutes: stop after so many, with a checkpoint that the next call goes on from; None for no such end.
         observer: is told of the progress; None for silence.
 
     Returns:
-        What was reached; ``.weights`` is the file for :func:`estimate_depth`.
+        What was reached, to its end or not (``.is_finished``); ``.weights`` is the file for :func:`estimate_depth`.
 
     Raises:
         TelewideError: no capture can be used, or the training that lies there was begun with another recipe.
@@ -345,6 +347,7 @@ def train(
         recipe=recipe if isinstance(recipe, Recipe) else load_recipe(recipe, settings=settings, seed=seed),
         fresh=fresh,
         device=device,
+        minutes=minutes,
         observer=observer or Silent(),
         rig=None if rig is None else Path(rig),
     )

@@ -74,6 +74,7 @@ class Training:
         device: to compute on.
         processes: this process among all.
         workers: processes that prepare batches.
+        deadline_s: when to stop, on the monotonic clock; the step that it comes in is finished first.
     """
 
     folder: Path
@@ -86,6 +87,7 @@ class Training:
     device: torch.device
     processes: Processes
     workers: int
+    deadline_s: float = math.inf
 
     @property
     def window(self) -> Window:
@@ -102,7 +104,8 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
         reporter: is told of the progress.
 
     Returns:
-        The same state, finished; its ``average`` holds the best stage's weights.
+        The same state, finished; its ``average`` holds the best stage's weights. Not finished, and saved, where the
+        deadline came first.
 
     Raises:
         KeyboardInterrupt: asked to stop; the state has been saved.
@@ -117,11 +120,14 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
             if state.step == 0:
                 begin_stage(state, stage, seed=training.seed)
             reporter.stage_started(stage, first_step=state.step)
-            _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
+            if not _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested):
+                return state
             _end_stage(training=training, state=state, stage=stage, plan=plan, reporter=reporter)
             # Asked of all processes, so that none goes on before the writer has saved.
             if training.processes.is_any(is_stop_requested()):
                 raise KeyboardInterrupt
+            if _is_time_up(training):
+                return state
     return state
 
 
@@ -164,11 +170,12 @@ def _run_stage(
     reporter: Reporter,
     *,
     is_stop_requested: Callable[[], bool],
-) -> None:
+) -> bool:
+    """Take the steps that are left; False where the deadline came before the last."""
     processes = training.processes
     dataset = step_batches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
     if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
-        return  # stopped by hand just before it was asked
+        return True  # stopped just before it was asked
     saved_s = time.monotonic()
     set_learning(state, stage)
     begun_s = time.monotonic()
@@ -178,9 +185,12 @@ def _run_stage(
         seconds = time.monotonic() - begun_s
         state.trained_s += seconds
         reporter.step_done(stage, step=state.step, losses=losses, seconds=seconds)
-        if processes.is_any(is_stop_requested()):
+        is_stopped = processes.is_any(is_stop_requested())
+        if is_stopped or _is_time_up(training):
             _save_underway(training, state, stage)
-            raise KeyboardInterrupt
+            if is_stopped:
+                raise KeyboardInterrupt
+            return False
         if _is_judgement_due(training, state, stage):
             if _is_converged(training, state, stage, reporter):
                 break
@@ -190,6 +200,12 @@ def _run_stage(
             _save_underway(training, state, stage)
             saved_s = time.monotonic()
         begun_s = time.monotonic()  # the next step's time holds its wait for the batch
+    return True
+
+
+def _is_time_up(training: Training) -> bool:
+    """Whether the deadline has come in any process."""
+    return training.deadline_s < math.inf and training.processes.is_any(time.monotonic() >= training.deadline_s)
 
 
 def set_learning(state: TrainingState, stage: Stage) -> None:
