@@ -156,8 +156,9 @@ def _is_covered(solids: Alike, palette: Palette, place: tuple[Tensor, Tensor]) -
     inside = (u.abs() < 1) & (v.abs() < 1)
     if solids.outline is not None:
         kept = inside.nonzero(as_tuple=True)
-        uv = torch.stack((u[kept], v[kept]), dim=-1).float()
-        inside[kept] = look_up_outline(palette, solids.outline[kept[0]], uv) > 0
+        if len(kept[0]):
+            uv = torch.stack((u[kept], v[kept]), dim=-1).float()
+            inside[kept] = look_up_outline(palette, solids.outline[kept[0]], uv) > 0
     return inside
 
 
