@@ -70,7 +70,7 @@ def train(
         if outcome.is_finished:
             observer.said(f"next: {typed(context).instead('depth', bokeh=True)}")
         else:
-            observer.said(f"stopped after {minutes:g} minutes; to continue: {typed(context).again(fresh=None)}")
+            observer.said(f"stopped after {minutes:g} min; to continue: {typed(context).again(fresh=None)}")
     if as_json:
         print_json(
             {

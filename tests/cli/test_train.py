@@ -78,7 +78,7 @@ def test_a_training_stops_when_its_minutes_are_over_and_says_how_to_go_on(
         shown = capsys.readouterr()
         assert json.loads(shown.out)["is_finished"] is False
         said = re.sub(r"\s+", " ", shown.err)  # a narrow terminal breaks lines
-        (again,) = re.findall(r"stopped after 0.001 minutes; to continue: telewide (.*)", said)
+        (again,) = re.findall(r"stopped after 0.001 min; to continue: telewide (.*)", said)
         assert "--fresh" not in again
         assert "--minutes 0.001" in again
     assert read_card(tmp_path / "run" / "train" / "weights.safetensors").training["step"] == 2

@@ -60,7 +60,7 @@ def alike(numbers: Sequence[int], solids: Sequence[Solid], *, camera: Camera, li
     """
     chosen = [solids[number] for number in numbers]
 
-    def table(rows: Sequence[FloatArray | float], dtype: torch.dtype = like.dtype) -> Tensor:
+    def table(rows: FloatArray | Sequence[FloatArray | float], dtype: torch.dtype = like.dtype) -> Tensor:
         return torch.from_numpy(np.array(rows)).to(device=like.device, dtype=dtype)
 
     rays = [_rays(solid, camera) for solid in chosen]
