@@ -18,6 +18,7 @@ DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 # Two processes, one thread each; the tests of a file stay together, since they share what they set up.
 PARALLEL := -n 2 --dist loadfile
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
+BOX := $(or $(OUT),box)
 BOX_FLAGS = $(if $(FROM),--from $(FROM)) $(if $(DEVICE),--device $(DEVICE)) $(if $(MINUTES),--minutes $(MINUTES)) \
 	$(if $(STEPS),--set train.rehearsal.steps=$(STEPS) --set train.rehearsal.least_steps=$(STEPS)) \
 	$(addprefix --set ,$(SET))
@@ -85,7 +86,7 @@ bench: $(STAMP)
 # Continues where it was stopped; some hours bring it near its end. On a GPU lent for a quarter of an hour, repeated until
 # it is done:  make box FROM=box MINUTES=14 DEVICE=cuda STEPS=20000 SET="train.crop_hw=[256,512]"
 box: $(STAMP)
-	$(BIN)/telewide train --recipe box --out $(or $(OUT),box) $(BOX_FLAGS)
+	$(BIN)/telewide train --recipe box --out $(BOX) $(BOX_FLAGS)
 
 clean:
 	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache

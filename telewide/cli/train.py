@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,9 @@ from telewide.cli.arguments import (
     SetOption,
 )
 from telewide.cli.console import console_observer, print_json, typed
+
+if TYPE_CHECKING:
+    from telewide.stages.train import TrainOutcome
 
 TRAIN_EPILOG = (
     "Examples: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`; "
@@ -72,14 +75,15 @@ def train(
         else:
             observer.said(f"stopped after {minutes:g} min; to continue: {typed(context).again(fresh=None)}")
     if as_json:
-        print_json(
-            {
-                "weights": str(outcome.weights),
-                "is_new": outcome.is_new,
-                "is_finished": outcome.is_finished,
-                "best_stage": outcome.best_stage,
-                "best_step": outcome.best_step,
-                "clipped_px": dict(outcome.stages),
-                "warnings": list(observer.warnings),
-            }
-        )
+        print_json({**_answer(outcome), "warnings": list(observer.warnings)})
+
+
+def _answer(outcome: TrainOutcome) -> dict[str, object]:
+    return {
+        "weights": str(outcome.weights),
+        "is_new": outcome.is_new,
+        "is_finished": outcome.is_finished,
+        "best_stage": outcome.best_stage,
+        "best_step": outcome.best_step,
+        "clipped_px": dict(outcome.stages),
+    }

@@ -11,7 +11,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -114,21 +114,24 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
     """
     plan = plan_stages(training.options)
     _check_processes(plan, training.processes)
-    with _stop_request() as is_stop_requested:
+    with _stop_request() as is_stop_requested, suppress(_TimeIsUpError):
         while not state.is_finished:
             stage = plan[state.stage_index]
             if state.step == 0:
                 begin_stage(state, stage, seed=training.seed)
             reporter.stage_started(stage, first_step=state.step)
-            if not _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested):
-                return state
+            _run_stage(training, state, stage, reporter, is_stop_requested=is_stop_requested)
             _end_stage(training=training, state=state, stage=stage, plan=plan, reporter=reporter)
             # Asked of all processes, so that none goes on before the writer has saved.
             if training.processes.is_any(is_stop_requested()):
                 raise KeyboardInterrupt
             if _is_time_up(training):
-                return state
+                raise _TimeIsUpError
     return state
+
+
+class _TimeIsUpError(Exception):
+    """The deadline of a training has come; the state has been saved."""
 
 
 def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
@@ -170,12 +173,11 @@ def _run_stage(
     reporter: Reporter,
     *,
     is_stop_requested: Callable[[], bool],
-) -> bool:
-    """Take the steps that are left; False where the deadline came before the last."""
+) -> None:
     processes = training.processes
     dataset = step_batches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
     if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
-        return True  # stopped just before it was asked
+        return  # stopped just before it was asked
     saved_s = time.monotonic()
     set_learning(state, stage)
     begun_s = time.monotonic()
@@ -188,9 +190,7 @@ def _run_stage(
         is_stopped = processes.is_any(is_stop_requested())
         if is_stopped or _is_time_up(training):
             _save_underway(training, state, stage)
-            if is_stopped:
-                raise KeyboardInterrupt
-            return False
+            raise KeyboardInterrupt if is_stopped else _TimeIsUpError
         if _is_judgement_due(training, state, stage):
             if _is_converged(training, state, stage, reporter):
                 break
@@ -200,7 +200,6 @@ def _run_stage(
             _save_underway(training, state, stage)
             saved_s = time.monotonic()
         begun_s = time.monotonic()  # the next step's time holds its wait for the batch
-    return True
 
 
 def _is_time_up(training: Training) -> bool:

@@ -45,7 +45,7 @@ class Alike:
 
 
 def form_of(solid: Solid) -> tuple[Kind, bool, bool]:
-    """What solids have in common that are tested together."""
+    """Form of a solid: those of one form can be tested together."""
     return solid.kind, solid.waves is not None, solid.outline is not None
 
 

@@ -111,7 +111,7 @@ def damage_views(
         (3, H, W) float32 each, sRGB in [0, 1], to rounding what each would be alone.
     """
     x, hw = [*views_CHW], (views_CHW[0].shape[-2], views_CHW[0].shape[-1])
-    _change(x, damages, _move, chosen=[k for k, damage in enumerate(damages) if _moves(damage)])
+    _change(x, damages, _move, chosen=[k for k, damage in enumerate(damages) if _is_moved(damage)])
     _change(x, damages, _blur, chosen=[k for k, damage in enumerate(damages) if damage.blur_sigma_px[0] >= LEAST_BLUR])
     seen_hw = [_seen_hw(damage, hw) for damage in damages]
     noise = [
@@ -170,7 +170,7 @@ def _resize(x_BCHW: Tensor, hw: tuple[int, int]) -> Tensor:
     return functional.interpolate(x_BCHW, size=hw, mode="bicubic", align_corners=False, antialias=True)
 
 
-def _moves(damage: Damage) -> bool:
+def _is_moved(damage: Damage) -> bool:
     return bool(damage.vertical_px or damage.vertical_slope or damage.turn_rad)
 
 
