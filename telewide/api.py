@@ -335,9 +335,8 @@ def train(
 
     Example:
         >>> import telewide
-        >>> few = ["train.rehearsal.steps=2", "train.rehearsal.least_steps=2", "train.feature.steps=2"]
-        >>> telewide.train("examples/captures", run="/tmp/run", recipe="quick", settings=few, fresh=True).is_new
-        True
+        >>> telewide.train("examples/captures", run="/tmp/run", recipe="quick", minutes=0.1, fresh=True).is_finished
+        False
     """
     from telewide.pipeline import train_captures
 
