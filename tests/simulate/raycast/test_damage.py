@@ -93,7 +93,7 @@ def apart(one: list[torch.Tensor], other: list[torch.Tensor]) -> list[float]:
 
 def test_views_damaged_together_are_damaged_as_each_alone() -> None:
     views, damages = many(16)
-    assert len({damage.jpeg_quality for damage in damages}) > 2
+    assert len({damage.jpeg_quality for damage in damages}) > 1
     together = damage_views(views, damages, generators=generators(16))
     alone = [damage_view(*pair, generator=of) for *pair, of in zip(views, damages, generators(16), strict=True)]
     assert max(apart(together, alone)) < 1e-5
