@@ -18,6 +18,10 @@ DATA   := $(or $(TELEWIDE_DATA),../shared/data)
 # Two processes, one thread each; the tests of a file stay together, since they share what they set up.
 PARALLEL := -n 2 --dist loadfile
 RUN_FLAGS = $(addprefix --run ,$(RUNS))
+BOX := $(or $(OUT),box)
+BOX_FLAGS = $(if $(FROM),--from $(FROM)) $(if $(DEVICE),--device $(DEVICE)) $(if $(MINUTES),--minutes $(MINUTES)) \
+	$(if $(STEPS),--set train.rehearsal.steps=$(STEPS) --set train.rehearsal.least_steps=$(STEPS)) \
+	$(addprefix --set ,$(SET))
 
 .PHONY: setup demo box test test-slow test-minima mutants soak lint bench clean
 
@@ -79,9 +83,10 @@ bench: $(STAMP)
 	$(BIN)/telewide benchmark bokeh "$(DATA)/p30" $(RUN_FLAGS); \
 	else echo "left out: no captures at $(DATA)/p30; see the head of the Makefile" >&2; fi
 
-# Continues where it was stopped; some hours bring it near its end.
+# Continues where it was stopped; some hours bring it near its end. On a GPU lent for a quarter of an hour, repeated until
+# it is done:  make box FROM=box MINUTES=14 DEVICE=cuda STEPS=20000 SET="train.crop_hw=[256,512]"
 box: $(STAMP)
-	$(BIN)/telewide train --recipe box --out box
+	$(BIN)/telewide train --recipe box --out $(BOX) $(BOX_FLAGS)
 
 clean:
 	rm -rf demo dist .mypy_cache .pytest_cache .ruff_cache

@@ -310,6 +310,7 @@ def train(
     rig: AnyPath | None = None,
     device: Device = "auto",
     fresh: bool = False,
+    minutes: float | None = None,
     observer: Observer | None = None,
 ) -> TrainOutcome:
     """Train a network on a folder of captures, without labels, or continue a training.
@@ -323,19 +324,19 @@ def train(
         rig: rig file; None for the one that lies by the captures.
         device: to compute on.
         fresh: start over where a training lies in the run folder.
+        minutes: stop after so many, with a checkpoint that the next call goes on from; None for no such end.
         observer: is told of the progress; None for silence.
 
     Returns:
-        What was reached; ``.weights`` is the file for :func:`estimate_depth`.
+        What was reached, to its end or not (``.is_finished``); ``.weights`` is the file for :func:`estimate_depth`.
 
     Raises:
         TelewideError: no capture can be used, or the training that lies there was begun with another recipe.
 
     Example:
         >>> import telewide
-        >>> few = ["train.rehearsal.steps=2", "train.rehearsal.least_steps=2", "train.feature.steps=2"]
-        >>> telewide.train("examples/captures", run="/tmp/run", recipe="quick", settings=few, fresh=True).is_new
-        True
+        >>> telewide.train("examples/captures", run="/tmp/run", recipe="quick", minutes=0.1, fresh=True).is_finished
+        False
     """
     from telewide.pipeline import train_captures
 
@@ -345,6 +346,7 @@ def train(
         recipe=recipe if isinstance(recipe, Recipe) else load_recipe(recipe, settings=settings, seed=seed),
         fresh=fresh,
         device=device,
+        minutes=minutes,
         observer=observer or Silent(),
         rig=None if rig is None else Path(rig),
     )

@@ -10,10 +10,13 @@ together, and each comes to know the results of all.
 
 from __future__ import annotations
 
+import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from telewide.cores import Device
+from telewide.errors import UsageError
 from telewide.recipe import Recipe
 from telewide.stages.call import begun
 from telewide.stages.depth import DepthOptions, DepthRun, compute_depth, make_folder, refuse_what_cannot_be
@@ -36,6 +39,7 @@ def train_captures(
     device: Device,
     observer: Observer,
     rig: Path | None = None,
+    minutes: float | None = None,
 ) -> TrainOutcome:
     """Train on a folder of captures, or continue.
 
@@ -47,20 +51,27 @@ def train_captures(
         device: auto, cpu or cuda.
         observer: is told of the progress.
         rig: rig file, or None for the one that lies by the captures.
+        minutes: stop after so many, with a checkpoint; None for no such end.
 
     Returns:
         What was reached, and where the weights are.
 
     Raises:
+        UsageError: the minutes are not above 0.
         TelewideError: see `prepare` and `telewide.stages.train.train`.
         KeyboardInterrupt: stopped by hand; a checkpoint is left.
     """
     from telewide.stages.box import train_box
     from telewide.stages.train import train
 
+    if minutes is not None and not minutes > 0:
+        raise UsageError(f"a training of {minutes:g} minutes; a number above 0 was expected")
+    deadline_s = math.inf if minutes is None else time.monotonic() + 60 * minutes
     if recipe.train.worlds:
-        return train_box(recipe, run=run, fresh=fresh, device=device, observer=observer)
-    with begun(captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig) as call:
+        return train_box(recipe, run=run, fresh=fresh, device=device, observer=observer, deadline_s=deadline_s)
+    with begun(
+        captures_root, run=run, recipe=recipe, device=device, observer=observer, rig=rig, deadline_s=deadline_s
+    ) as call:
         pairs = prepare(call)
         return train(call, pairs, fresh=fresh)
 

@@ -1,4 +1,4 @@
-"""The timed work of networks: one inference and one training step, in float32 and in bf16.
+"""The timed work of networks: one inference and one training step, in float32 and in bf16; and that of their worlds.
 
 Weights are drawn anew, since speed does not depend on them.
 Letters: H W image.
@@ -6,16 +6,18 @@ Letters: H W image.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from telewide.geometry.arrays import FloatImage
 from telewide.matching.inference import choose_device, full_precision, has_fast_bf16, match_with_network
 from telewide.matching.networks import build_network
-from telewide.matching.window import Window
+from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.training.checkpoint import new_state
 from telewide.training.data import collate
 from telewide.training.loop import Training, take_step
@@ -23,9 +25,12 @@ from telewide.training.options import StageOptions, TrainOptions
 from telewide.training.processes import Processes
 from telewide.training.samples import Sample, SampleSource
 from telewide.training.stages import Stage
+from telewide.training.world_samples import LARGEST_FACTOR, PLANES, WorldCrop, damaged_crops, worlds_for
 
 FLOAT32, BF16 = "float32", "bf16"
 _STAGE = "rehearsal"
+WORLD_PAIRS = 4
+"""Pairs that are damaged together, as in a step of the recipe box."""
 
 
 def available_precisions(device: torch.device) -> tuple[str, ...]:
@@ -95,6 +100,32 @@ def training_case(
         state.step += 1
 
     return step
+
+
+def world_cases(crop_hw: tuple[int, int], *, device: torch.device) -> dict[str, Callable[[], None]]:
+    """Bind what a training does with worlds: ``cast`` one, and cut and ``damage`` some pairs of crops.
+
+    Args:
+        crop_hw: height and width of the crops; a world is larger.
+        device: where worlds are cast and damaged.
+    """
+    worlds = worlds_for((0,), crop_hw=crop_hw, crops=1, mine=1, device=device)
+    numbers, seeds = itertools.count(), itertools.count()
+    window = (0, PLANES[-1] * VOLUME_STEP_PX)
+
+    def cut() -> WorldCrop:
+        return worlds.crop(0, 0, rng=np.random.default_rng(0), window=window)
+
+    def damage() -> None:
+        rngs = [np.random.default_rng(next(seeds)) for _ in range(WORLD_PAIRS)]
+        damaged_crops([cut() for _ in rngs], rngs, factors=(1.0, LARGEST_FACTOR))
+
+    cut()  # so that its world is cast
+    return {"cast": lambda: _ignore(worlds.cast(next(numbers))), "damage": damage}
+
+
+def _ignore(_: object) -> None:
+    pass
 
 
 def synchroniser(device: torch.device) -> Callable[[], None]:

@@ -1,4 +1,4 @@
-"""Speed and memory of each matcher, all side by side in one run.
+"""Speed and memory of each matcher, all side by side in one run, and of the worlds that networks are trained on.
 
 A training step is timed on crops, inference on a picture of the size of the real pairs; both on a rendered pair.
 Letters: H W image.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -44,6 +45,7 @@ class SpeedOptions:
         crop_window: disparities of a training step's volume, px.
         image_hw: height and width of the picture.
         image_window: disparities of an inference, px.
+        world_hw: height and width of crops of cast worlds.
     """
 
     matchers: tuple[str, ...] = ()
@@ -55,12 +57,14 @@ class SpeedOptions:
     crop_window: Window = (0, 80)
     image_hw: tuple[int, int] = (640, 1280)
     image_window: Window = (0, 64)
+    world_hw: tuple[int, int] = (256, 512)
 
 
 NETWORK = "network"
 """As `--method` calls it: the network that comes with telewide."""
 Variant = tuple[str, str]
 """A matcher and the precision it computes in."""
+Key = TypeVar("Key")
 
 
 def measure_speed(options: SpeedOptions, *, tell: Tell) -> BenchmarkReport:
@@ -71,13 +75,13 @@ def measure_speed(options: SpeedOptions, *, tell: Tell) -> BenchmarkReport:
         tell: hears how far it is.
 
     Returns:
-        A row for each matcher and precision.
+        A row for each matcher and precision, and a further one for worlds.
 
     Raises:
         UsageError: a matcher that does not exist.
         MissingPartError: cuda was asked for and is not there.
     """
-    from telewide.benchmark.networks import describe_device, synchroniser
+    from telewide.benchmark.networks import describe_device, synchroniser, world_cases
     from telewide.matching.inference import choose_device
 
     if options.repeats < 1 or options.warm_up < 0:
@@ -88,7 +92,7 @@ def measure_speed(options: SpeedOptions, *, tell: Tell) -> BenchmarkReport:
     tell(f"peak memory of {len(variants)} inferences, each in a process of its own")
     peaks = {variant: measure_peak(_memory_case(variant, options)) for variant in variants}
 
-    def timed(cases: Mapping[Variant, Callable[[], None]]) -> dict[Variant, Timing]:
+    def timed(cases: Mapping[Key, Callable[[], None]]) -> dict[Key, Timing]:
         wait = synchroniser(device)
         return time_side_by_side(cases, repeats=options.repeats, warm_up=options.warm_up, synchronise=wait)
 
@@ -98,13 +102,43 @@ def measure_speed(options: SpeedOptions, *, tell: Tell) -> BenchmarkReport:
     inferences = timed(_inference_cases(variants, options))
     megapixels = options.image_hw[0] * options.image_hw[1] / 1e6
     rows = tuple(_row(v, steps.get(v), inferences[v], peaks[v], megapixels=megapixels) for v in variants)
-    return BenchmarkReport("speed", asdict(options), rows, machine=machine)
+    tell("worlds")
+    worlds = _worlds_row(timed(world_cases(options.world_hw, device=device)), steps, options)
+    return BenchmarkReport("speed", asdict(options), rows, machine=machine, further={"worlds": (worlds,)})
 
 
 def speed_table(report: BenchmarkReport) -> str:
     """Set a speed report in Markdown: median (interquartile range), one line for each matcher and precision."""
     headings = ("matcher", "precision", "training step s", "inference s", "Mpx/s", "peak MiB", "GPU MiB")
-    return markdown_table(headings, [_line(row) for row in report.rows])
+    (worlds,) = report.further["worlds"]
+    return f"{markdown_table(headings, [_line(row) for row in report.rows])}\n\n{_worlds_line(worlds)}"
+
+
+def _worlds_row(
+    timings: Mapping[str, Timing], steps: Mapping[Variant, Timing], options: SpeedOptions
+) -> dict[str, object]:
+    """Pairs of views a second that worlds give, and that a training step of each matcher takes, all of one size."""
+    from telewide.benchmark.networks import WORLD_PAIRS
+    from telewide.training.world_samples import STEPS_A_WORLD
+
+    share = options.crop_hw[0] * options.crop_hw[1] / (options.world_hw[0] * options.world_hw[1])
+    pair_s = timings["cast"].median_s / STEPS_A_WORLD + timings["damage"].median_s / WORLD_PAIRS
+    return {
+        "crop_hw": options.world_hw,
+        "cast": asdict(timings["cast"]),
+        "damage": asdict(timings["damage"]),
+        "pairs_per_s": 1 / pair_s,
+        "taken_per_s": {" ".join(variant): options.batch * share / step.median_s for variant, step in steps.items()},
+    }
+
+
+def _worlds_line(row: Mapping[str, Any]) -> str:
+    height, width = row["crop_hw"]
+    taken = ", ".join(f"{name} {pairs:.2f}" for name, pairs in row["taken_per_s"].items())
+    return (
+        f"Worlds give {row['pairs_per_s']:.2f} pairs/s of {height}x{width} (one is cast in "
+        f"{row['cast']['median_s']:.3f} s); training takes, in pairs/s of that size: {taken or '-'}"
+    )
 
 
 def _variants(options: SpeedOptions) -> list[Variant]:

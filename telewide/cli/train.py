@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,7 +21,13 @@ from telewide.cli.arguments import (
 )
 from telewide.cli.console import console_observer, print_json, typed
 
-TRAIN_EPILOG = "Example: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`"
+if TYPE_CHECKING:
+    from telewide.stages.train import TrainOutcome
+
+TRAIN_EPILOG = (
+    "Examples: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`; "
+    "`telewide train captures/ --minutes 20` trains for twenty minutes, and the same once more for twenty more."
+)
 
 
 def train(
@@ -38,6 +44,9 @@ def train(
         ),
     ] = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Start over where a training lies in the run folder.")] = False,
+    minutes: Annotated[
+        float | None, typer.Option(metavar="N", help="Stop after so many minutes; run again to go on. [default: never]")
+    ] = None,
     rig: RigOption = None,
     device: DeviceOption = "auto",
     seed: SeedOption = None,
@@ -57,18 +66,24 @@ def train(
             rig=rig,
             device=device,
             fresh=fresh,
+            minutes=minutes,
             observer=observer,
         )
         observer.said(f"weights: {outcome.weights}")
-        observer.said(f"next: {typed(context).instead('depth', bokeh=True)}")
+        if outcome.is_finished:
+            observer.said(f"next: {typed(context).instead('depth', bokeh=True)}")
+        else:
+            observer.said(f"stopped after {minutes:g} min; to continue: {typed(context).again(fresh=None)}")
     if as_json:
-        print_json(
-            {
-                "weights": str(outcome.weights),
-                "is_new": outcome.is_new,
-                "best_stage": outcome.best_stage,
-                "best_step": outcome.best_step,
-                "clipped_px": dict(outcome.stages),
-                "warnings": list(observer.warnings),
-            }
-        )
+        print_json({**_answer(outcome), "warnings": list(observer.warnings)})
+
+
+def _answer(outcome: TrainOutcome) -> dict[str, object]:
+    return {
+        "weights": str(outcome.weights),
+        "is_new": outcome.is_new,
+        "is_finished": outcome.is_finished,
+        "best_stage": outcome.best_stage,
+        "best_step": outcome.best_step,
+        "clipped_px": dict(outcome.stages),
+    }

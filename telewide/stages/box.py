@@ -5,6 +5,8 @@ It is kept in a run folder, stopped and continued like every training; worlds of
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -35,7 +37,15 @@ from telewide.training.world_samples import WorldBatches, WorldSource
 JUDGED_STEPS = 8
 
 
-def train_box(recipe: Recipe, *, run: Path | None, fresh: bool, device: Device, observer: Observer) -> TrainOutcome:
+def train_box(
+    recipe: Recipe,
+    *,
+    run: Path | None,
+    fresh: bool,
+    device: Device,
+    observer: Observer,
+    deadline_s: float = math.inf,
+) -> TrainOutcome:
     """Train on worlds, or continue.
 
     Args:
@@ -44,6 +54,7 @@ def train_box(recipe: Recipe, *, run: Path | None, fresh: bool, device: Device, 
         fresh: forget a training that lies there.
         device: auto, cpu or cuda.
         observer: is told of the progress.
+        deadline_s: when to stop, on the monotonic clock.
 
     Returns:
         The outcome.
@@ -57,19 +68,23 @@ def train_box(recipe: Recipe, *, run: Path | None, fresh: bool, device: Device, 
     folder, chosen = locate_run(run, CAPTURES_FOLDER), choose_device(device)
     refuse_links(folder.root, folder.train)
     with joined_processes(device) as processes, alone(processes, folder.train, observer=observer):
-        return _train(recipe, folder, fresh=fresh, device=chosen, processes=processes, observer=observer)
+        source, judged = (
+            WorldSource(seed=seed, crop_hw=recipe.train.crop_hw, device=chosen)
+            for seed in (recipe.seed, recipe.seed + JUDGE_SEED)
+        )
+        state = _take_up(folder, recipe, source, device=chosen, fresh=fresh, processes=processes, observer=observer)
+        if state.is_finished:
+            return outcome_of(folder, planned(recipe), state, is_new=False)
+        training = _training(recipe, folder, source=source, judged=judged, processes=processes)
+        logged = LoggedReporter(observer, folder, partial(_rows, judged), is_writer=processes.is_writer)
+        run_training(replace(training, deadline_s=deadline_s), state, reporter=logged)
+        return outcome_of(folder, planned(recipe), state, is_new=True)
 
 
-def _train(
-    recipe: Recipe, folder: RunFolder, *, fresh: bool, device: torch.device, processes: Processes, observer: Observer
-) -> TrainOutcome:
-    source, judged = (
-        WorldSource(seed=seed, crop_hw=recipe.train.crop_hw) for seed in (recipe.seed, recipe.seed + JUDGE_SEED)
-    )
-    state = _take_up(folder, recipe, source, device=device, fresh=fresh, processes=processes, observer=observer)
-    if state.is_finished:
-        return outcome_of(folder, planned(recipe), state, is_new=False)
-    training = Training(
+def _training(
+    recipe: Recipe, folder: RunFolder, *, source: WorldSource, judged: WorldSource, processes: Processes
+) -> Training:
+    return Training(
         folder=folder.train,
         options=recipe.train,
         source=source,
@@ -77,13 +92,11 @@ def _train(
         seed=recipe.seed,
         network_name=recipe.network,
         recipe=recipe.model_dump(mode="json"),
-        device=device,
+        device=source.device,
         processes=processes,
-        workers=workers_for(device),
+        # A GPU casts its worlds itself, in this process.
+        workers=workers_for(source.device) if source.device.type == "cpu" else 0,
     )
-    logged = LoggedReporter(observer, folder, partial(_rows, judged), is_writer=processes.is_writer)
-    run_training(training, state, reporter=logged)
-    return outcome_of(folder, planned(recipe), state, is_new=True)
 
 
 def _take_up(
@@ -118,7 +131,7 @@ def _take_up(
 def _rows(source: WorldSource, network: StereoNetwork) -> list[ContactRow]:
     """Rows of a contact sheet: crops of the judge's worlds."""
     batch = WorldBatches(source, Stage("sheet", 0, StageOptions(steps=1, rehearsed=SHEET_ROWS)))[0]
-    views = (view.permute(0, 2, 3, 1).numpy() for view in (batch.ref_BCHW, batch.src_BCHW))
+    views = (view.permute(0, 2, 3, 1).cpu().numpy() for view in (batch.ref_BCHW, batch.src_BCHW))
     rows = []
     for number, (ref, src) in enumerate(zip(*views, strict=True)):
         matched = match_with_network(ref, src, network=network, window=batch.window or source.window_px)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,6 +45,7 @@ class Call:
         invocation: the command that was typed, or one that does the same; advised commands take it up.
         photos: decoded for their pairs, needed again for depth and report.
         begun_s: when the call began, on the monotonic clock.
+        deadline_s: when a training is to stop, on that clock.
     """
 
     captures: CaptureSet
@@ -57,6 +59,7 @@ class Call:
     invocation: Invocation
     photos: PhotoStore = field(default_factory=PhotoStore)
     begun_s: float = field(default_factory=time.monotonic)
+    deadline_s: float = math.inf
 
 
 @contextmanager
@@ -69,6 +72,7 @@ def begun(
     observer: Observer,
     rig: Path | None,
     only: Sequence[str] = (),
+    deadline_s: float = math.inf,
 ) -> Iterator[Call]:
     """Find captures, run folder and rig, and join the processes.
 
@@ -80,6 +84,7 @@ def begun(
         observer: is told of the progress.
         rig: rig file, or None for the one that lies by the captures.
         only: names of the captures to take; empty for all.
+        deadline_s: as of `Call`.
 
     Yields:
         What the stages share.
@@ -106,6 +111,7 @@ def begun(
             rig=found_rig,
             rig_file=rig,
             invocation=observer.invocation or by_program,
+            deadline_s=deadline_s,
         )
 
 

@@ -13,7 +13,7 @@ import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -80,6 +80,7 @@ class TrainOutcome:
         best_step: of that stage; 0 for the weights it began with, None where nobody recorded it.
         before_px: how far off the weights were judged that the training began with; None where nobody knows.
         is_box: whether the result is the network that comes with telewide, as it was.
+        is_finished: False where the deadline came first; a call of the same kind goes on.
     """
 
     weights: Path
@@ -89,6 +90,7 @@ class TrainOutcome:
     best_step: int | None = None
     before_px: float | None = None
     is_box: bool = False
+    is_finished: bool = True
 
     @property
     def told(self) -> str:
@@ -119,7 +121,7 @@ def train(call: Call, prepared: PreparedSet, *, fresh: bool) -> TrainOutcome:
     timings = {"prepare": prepared_s - call.begun_s, "train": time.monotonic() - prepared_s}
     asked = {**call.recipe.model_dump(mode="json"), "rig": call.rig_file, "device": call.device, "fresh": fresh}
     record_call(call, prepared, command="train", options=asked, timings=timings)
-    if outcome.is_new:
+    if outcome.is_new and outcome.is_finished:
         call.observer.said(outcome.told)
     return outcome
 
@@ -142,7 +144,7 @@ def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.devi
     processes.wait()
     logged = LoggedReporter(observer, run, partial(_rows, prepared, record), is_writer=processes.is_writer)
     training = _training(prepared, run, record, recipe, network=state.network, device=device, processes=processes)
-    run_training(training, state, reporter=logged)
+    run_training(replace(training, deadline_s=call.deadline_s), state, reporter=logged)
     return outcome_of(run, plan, state, is_new=True)
 
 
@@ -271,7 +273,7 @@ def _training(
     )
     judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
     if recipe.train.rehearsal.steps and recipe.train.rehearsal.rehearsed:
-        judge = joined_judge(judge, _worlds_judge(recipe))
+        judge = joined_judge(judge, _worlds_judge(recipe, device))
     return Training(
         folder=run.train,
         options=recipe.train,
@@ -286,9 +288,9 @@ def _training(
     )
 
 
-def _worlds_judge(recipe: Recipe) -> Judge:
+def _worlds_judge(recipe: Recipe, device: torch.device) -> Judge:
     """Ask worlds that owe nothing to the captures: it stays the same when captures come or go."""
-    source = WorldSource(seed=recipe.seed + JUDGE_SEED, crop_hw=recipe.train.crop_hw)
+    source = WorldSource(seed=recipe.seed + JUDGE_SEED, crop_hw=recipe.train.crop_hw, device=device)
     return crops_judge(WorldBatches(source, judge_stage(steps=JUDGED_STEPS)), window=source.window_px)
 
 
@@ -319,7 +321,7 @@ def workers_for(device: torch.device) -> int:
 
 
 def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, is_new: bool) -> TrainOutcome:
-    """Sum up a finished training."""
+    """Sum up a training, finished or stopped by its deadline."""
     stages = {stage.name: value for stage, value in zip(plan, state.stage_judgements, strict=False)}
     step = read_card(run.weights).training.get("step")
     best_step = step if isinstance(step, int) else None
@@ -332,6 +334,7 @@ def outcome_of(run: RunFolder, plan: Sequence[Stage], state: TrainingState, *, i
         best_step=best_step,
         before_px=before_px(run) if is_judged_alike else None,
         is_box=best_step == 0 and has_same_tensors(run.weights, BOX_WEIGHTS),
+        is_finished=state.is_finished,
     )
 
 

@@ -24,7 +24,7 @@ from telewide.matching.networks import StereoNetwork
 from telewide.training.objective import Batch
 from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
 from telewide.training.stages import Stage
-from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crop, enlarged_crop, worlds_for
+from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crops, enlarged_crop, worlds_for
 
 _REHEARSED, _CAPTURED = 0, 1
 
@@ -88,7 +88,7 @@ class StepBatches(Dataset[Batch]):
         rng = self._generator(step, _REHEARSED, crop)
         source = self._source
         crisp = self._worlds.crop(step, crop, rng=rng, window=source.volume_px, scale=1 / source.enlargement)
-        damaged = damaged_crop(crisp, rng, factors=source.asymmetry, equal_share=0.0)
+        (damaged,) = damaged_crops([crisp], [rng], factors=source.asymmetry, equal_share=0.0)
         if source.enlargement > 1:
             crisp, damaged = (enlarged_crop(cut, hw=source.crop_hw) for cut in (crisp, damaged))
         ref, src, *undamaged = (

@@ -11,7 +11,7 @@ import math
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -74,6 +74,7 @@ class Training:
         device: to compute on.
         processes: this process among all.
         workers: processes that prepare batches.
+        deadline_s: when to stop, on the monotonic clock; the step that it comes in is finished first.
     """
 
     folder: Path
@@ -86,6 +87,7 @@ class Training:
     device: torch.device
     processes: Processes
     workers: int
+    deadline_s: float = math.inf
 
     @property
     def window(self) -> Window:
@@ -102,7 +104,8 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
         reporter: is told of the progress.
 
     Returns:
-        The same state, finished; its ``average`` holds the best stage's weights.
+        The same state, finished; its ``average`` holds the best stage's weights. Not finished, and saved, where the
+        deadline came first.
 
     Raises:
         KeyboardInterrupt: asked to stop; the state has been saved.
@@ -111,7 +114,7 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
     """
     plan = plan_stages(training.options)
     _check_processes(plan, training.processes)
-    with _stop_request() as is_stop_requested:
+    with _stop_request() as is_stop_requested, suppress(_TimeIsUpError):
         while not state.is_finished:
             stage = plan[state.stage_index]
             if state.step == 0:
@@ -122,7 +125,13 @@ def train(training: Training, state: TrainingState, *, reporter: Reporter) -> Tr
             # Asked of all processes, so that none goes on before the writer has saved.
             if training.processes.is_any(is_stop_requested()):
                 raise KeyboardInterrupt
+            if _is_time_up(training):
+                raise _TimeIsUpError
     return state
+
+
+class _TimeIsUpError(Exception):
+    """The deadline of a training has come; the state has been saved."""
 
 
 def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
@@ -168,7 +177,7 @@ def _run_stage(
     processes = training.processes
     dataset = step_batches(training.source, stage, seed=training.seed, rank=processes.rank, world=processes.world)
     if _is_judgement_due(training, state, stage) and _is_converged(training, state, stage, reporter):
-        return  # stopped by hand just before it was asked
+        return  # stopped just before it was asked
     saved_s = time.monotonic()
     set_learning(state, stage)
     begun_s = time.monotonic()
@@ -178,9 +187,10 @@ def _run_stage(
         seconds = time.monotonic() - begun_s
         state.trained_s += seconds
         reporter.step_done(stage, step=state.step, losses=losses, seconds=seconds)
-        if processes.is_any(is_stop_requested()):
+        is_stopped = processes.is_any(is_stop_requested())
+        if is_stopped or _is_time_up(training):
             _save_underway(training, state, stage)
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt if is_stopped else _TimeIsUpError
         if _is_judgement_due(training, state, stage):
             if _is_converged(training, state, stage, reporter):
                 break
@@ -190,6 +200,11 @@ def _run_stage(
             _save_underway(training, state, stage)
             saved_s = time.monotonic()
         begun_s = time.monotonic()  # the next step's time holds its wait for the batch
+
+
+def _is_time_up(training: Training) -> bool:
+    """Whether the deadline has come in any process."""
+    return training.deadline_s < math.inf and training.processes.is_any(time.monotonic() >= training.deadline_s)
 
 
 def set_learning(state: TrainingState, stage: Stage) -> None:

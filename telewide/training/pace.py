@@ -26,8 +26,8 @@ def seconds_a_step(training: Training, state: TrainingState, stage: Stage) -> fl
         stage: to be timed.
 
     Returns:
-        The median. On a processor, where both take turns, with the time that its batch takes; on a GPU the longer of
-        the two, the batches being made by several processes.
+        The median, with the time that its batch takes where both take turns: on a processor, or where this process
+        makes the batches. Else the longer of the two, the batches being made by several processes.
     """
     trial = copy.deepcopy(state)
     begin_stage(trial, stage, seed=training.seed)
@@ -44,8 +44,8 @@ def seconds_a_step(training: Training, state: TrainingState, stage: Stage) -> fl
             torch.cuda.synchronize(training.device)
         taken_s = time.monotonic() - made_s
         made_s -= begun_s
-        is_shared = training.device.type == "cpu"
-        seconds.append(taken_s + made_s if is_shared else max(taken_s, made_s / max(1, training.workers)))
+        is_shared = training.device.type == "cpu" or not training.workers
+        seconds.append(taken_s + made_s if is_shared else max(taken_s, made_s / training.workers))
         trial.step += 1
         begun_s = time.monotonic()
     return statistics.median(seconds[_WARM_UP_STEPS:])

@@ -2,14 +2,15 @@
 
 Crop k of step i is a function of (seed, i, k) alone. Casting a world takes longer than damaging it, so that each is
 seen a few times: crop k has worlds of its own, a new one every ``STEPS_A_WORLD`` steps, and draws from the
-last of them. A process thus casts the worlds of its crops, and no others.
+last of them. A process thus casts the worlds of its crops, and no others. Worlds are drawn on the processor, which
+takes milliseconds; they are cast, cut and damaged on the device they are for.
 Letters: B batch, H W crop.
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
+from collections import OrderedDict, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -23,7 +24,7 @@ from torch.utils.data import Dataset
 from telewide.geometry.arrays import FloatImage
 from telewide.matching.window import VOLUME_STEP_PX, Window
 from telewide.simulate.raycast.arrange import draw_world
-from telewide.simulate.raycast.damage import Damage, damage_view, draw_damage
+from telewide.simulate.raycast.damage import Damage, damage_views, draw_damage
 from telewide.simulate.raycast.palette import Palette, draw_palette
 from telewide.simulate.raycast.render import cast_pair
 from telewide.training.objective import Batch
@@ -34,6 +35,7 @@ STEPS_A_WORLD = 6
 KEPT_WORLDS = 8
 """Worlds that a crop is drawn from, the new one among them."""
 WORLDS_A_PALETTE = 250
+KEPT_PALETTES = 2
 PALETTE_SIZE = 96
 """Textures, and as many outlines."""
 SIZE_OF_CROPS = 1.5
@@ -43,6 +45,7 @@ PLANES = (12, 16, 20, 24)
 MARGIN_PX = 3
 """Of a window, in which no world's disparity is meant to lie."""
 LARGEST_FACTOR = 8.5
+CPU = torch.device("cpu")
 EQUAL_SHARE = 0.1
 """Of the pairs: only colour differs."""
 ENLARGED_SHARE = 0.5
@@ -80,6 +83,7 @@ class Worlds:
         room: how many worlds are kept.
         window_px: disparities to fill; None for ranges as phones, light fields and test scenes have them.
         photos: (H, W, 3) float32 sRGB, to paint with beside what is drawn.
+        device: where worlds are cast, and their crops lie.
     """
 
     seed: tuple[int, ...]
@@ -88,8 +92,9 @@ class Worlds:
     room: int
     window_px: Window | None = None
     photos: Sequence[FloatImage] = ()
+    device: torch.device = CPU
     _kept: OrderedDict[int, WorldCrop] = field(default_factory=OrderedDict)
-    _palette: tuple[int, Palette] | None = None
+    _palettes: OrderedDict[int, Palette] = field(default_factory=OrderedDict)
 
     def crop(self, step: int, k: int, *, rng: np.random.Generator, window: Window, scale: float = 1.0) -> WorldCrop:
         """Cut crop k of a step, in colours of its own, with src moved so that the window holds its disparities.
@@ -109,13 +114,18 @@ class Worlds:
 
     def _cast_once(self, number: int) -> WorldCrop:
         if number not in self._kept:
-            self._kept[number] = self._cast(number)
+            self._kept[number] = self.cast(number)
             while len(self._kept) > self.room:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(number)
         return self._kept[number]
 
-    def _cast(self, number: int) -> WorldCrop:
+    def cast(self, number: int) -> WorldCrop:
+        """Cast a world anew; its views are bytes.
+
+        Args:
+            number: of the world; each crop of each turn has one.
+        """
         rng = np.random.default_rng([*self.seed, 3, number])
         palette = self._palette_of(number)
         hw = (int(SIZE_OF_CROPS * self.crop_hw[0]), int(SIZE_OF_CROPS * self.crop_hw[1]))
@@ -135,11 +145,14 @@ class Worlds:
 
     def _palette_of(self, number: int) -> Palette:
         epoch = number // WORLDS_A_PALETTE
-        if self._palette is None or self._palette[0] != epoch:
+        if epoch not in self._palettes:
             seed = (*self.seed, 4, epoch)
             palette = _palette(seed, PALETTE_SIZE, self.photos) if self.photos else _drawn_palette(seed, PALETTE_SIZE)
-            self._palette = (epoch, palette)
-        return self._palette[1]
+            self._palettes[epoch] = palette.to(self.device)
+            # Worlds of the next palette come between the last ones of this.
+            while len(self._palettes) > KEPT_PALETTES:
+                self._palettes.popitem(last=False)
+        return self._palettes[epoch]
 
 
 def _palette(seed: tuple[int, ...], size: int, photos: Sequence[FloatImage] = ()) -> Palette:
@@ -149,21 +162,47 @@ def _palette(seed: tuple[int, ...], size: int, photos: Sequence[FloatImage] = ()
 _drawn_palette = lru_cache(maxsize=2)(_palette)
 
 
-def damaged_crop(
-    crop: WorldCrop, rng: np.random.Generator, *, factors: tuple[float, float], equal_share: float = EQUAL_SHARE
-) -> WorldCrop:
+def damaged_crops(
+    crops: Sequence[WorldCrop],
+    rngs: Sequence[np.random.Generator],
+    *,
+    factors: tuple[float, float],
+    equal_share: float = EQUAL_SHARE,
+) -> list[WorldCrop]:
     """Damage src as a wide lens would, and ref a little.
 
     Args:
-        crop: as it was cut.
-        rng: source of all draws.
+        crops: as they were cut.
+        rngs: source of all draws of each.
         factors: range of how many times fewer pixels src has along each axis.
         equal_share: of the pairs that differ in colour alone.
     """
-    generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
-    src = damage_view(crop.src, draw_damage(rng, factors=factors, equal_share=equal_share), generator=generator)
-    ref = damage_view(crop.ref, _mild_damage(rng), generator=generator)
-    return WorldCrop(ref, src, crop.truth_px, crop.occluded)
+    views, damages, generators = list[Tensor](), list[Damage](), list[torch.Generator]()
+    for crop, rng in zip(crops, rngs, strict=True):
+        generator = torch.Generator(crop.src.device).manual_seed(int(rng.integers(2**62)))
+        views += [crop.src, crop.ref]
+        damages += [draw_damage(rng, factors=factors, equal_share=equal_share), _mild_damage(rng)]
+        generators += [generator, generator]
+    for these in _together(views):
+        damaged = damage_views(
+            [views[k] for k in these], [damages[k] for k in these], generators=[generators[k] for k in these]
+        )
+        for k, view in zip(these, damaged, strict=True):
+            views[k] = view
+    return [
+        WorldCrop(ref, src, crop.truth_px, crop.occluded)
+        for crop, src, ref in zip(crops, views[::2], views[1::2], strict=True)
+    ]
+
+
+def _together(views: Sequence[Tensor]) -> list[list[int]]:
+    """Views that are damaged in the same calls: on a GPU all of one size, on a processor each alone."""
+    if views[0].device.type == "cpu":
+        return [[k] for k in range(len(views))]
+    by_size: dict[torch.Size, list[int]] = defaultdict(list)
+    for k, view in enumerate(views):
+        by_size[view.shape].append(k)
+    return list(by_size.values())
 
 
 @dataclass(frozen=True)
@@ -174,11 +213,13 @@ class WorldSource:
         seed: of everything.
         crop_hw: size of the crops.
         window_px: the widest window that crops are searched in.
+        device: where worlds are cast, and the crops lie.
     """
 
     seed: int
     crop_hw: tuple[int, int]
     window_px: Window = (0, PLANES[-1] * VOLUME_STEP_PX)
+    device: torch.device = CPU
 
 
 class WorldBatches(Dataset[Batch]):
@@ -195,7 +236,11 @@ class WorldBatches(Dataset[Batch]):
         self._source, self._stage = source, stage
         self._mine = range(rank, stage.options.rehearsed, world)
         self._worlds = worlds_for(
-            (source.seed,), crop_hw=source.crop_hw, crops=stage.options.rehearsed, mine=len(self._mine)
+            (source.seed,),
+            crop_hw=source.crop_hw,
+            crops=stage.options.rehearsed,
+            mine=len(self._mine),
+            device=source.device,
         )
 
     def __len__(self) -> int:
@@ -205,7 +250,16 @@ class WorldBatches(Dataset[Batch]):
         seed = self._source.seed
         planes = int(np.random.default_rng([seed, 1, step]).choice(PLANES))
         window = (0, planes * VOLUME_STEP_PX)
-        crops = [self._crop(np.random.default_rng([seed, 2, step, k]), step, k, window) for k in self._mine]
+        rngs = [np.random.default_rng([seed, 2, step, k]) for k in self._mine]
+        scales = [_draw_scale(rng) for rng in rngs]
+        crops = [
+            self._worlds.crop(step, k, rng=rng, window=window, scale=scale)
+            for k, rng, scale in zip(self._mine, rngs, scales, strict=True)
+        ]
+        crops = [
+            crop if scale == 1 else enlarged_crop(crop, hw=self._source.crop_hw)
+            for crop, scale in zip(damaged_crops(crops, rngs, factors=(1.0, LARGEST_FACTOR)), scales, strict=True)
+        ]
         return Batch(
             ref_BCHW=torch.stack([crop.ref for crop in crops]),
             src_BCHW=torch.stack([crop.src for crop in crops]),
@@ -215,11 +269,10 @@ class WorldBatches(Dataset[Batch]):
             window=window,
         )
 
-    def _crop(self, rng: np.random.Generator, step: int, k: int, window: Window) -> WorldCrop:
-        scale = 1 / rng.uniform(1, MOST_ENLARGED) if rng.random() < ENLARGED_SHARE else 1.0
-        whole = self._worlds.crop(step, k, rng=rng, window=window, scale=scale)
-        damaged = damaged_crop(whole, rng, factors=(1.0, LARGEST_FACTOR))
-        return damaged if scale == 1 else enlarged_crop(damaged, hw=self._source.crop_hw)
+
+def _draw_scale(rng: np.random.Generator) -> float:
+    """Size that a crop is cut with, in whole ones."""
+    return 1 / rng.uniform(1, MOST_ENLARGED) if rng.random() < ENLARGED_SHARE else 1.0
 
 
 def enlarged_crop(crop: WorldCrop, *, hw: tuple[int, int]) -> WorldCrop:
@@ -244,6 +297,7 @@ def worlds_for(
     mine: int,
     window_px: Window | None = None,
     photos: Sequence[FloatImage] = (),
+    device: torch.device = CPU,
 ) -> Worlds:
     """Worlds of a process that makes some crops of each step.
 
@@ -254,9 +308,10 @@ def worlds_for(
         mine: how many of them this process makes.
         window_px: as of `Worlds`.
         photos: as of `Worlds`.
+        device: as of `Worlds`.
     """
     room = 2 * KEPT_WORLDS * max(1, mine)
-    return Worlds(seed=seed, crop_hw=crop_hw, crops=crops, room=room, window_px=window_px, photos=photos)
+    return Worlds(seed=seed, crop_hw=crop_hw, crops=crops, room=room, window_px=window_px, photos=photos, device=device)
 
 
 def _cut(whole: WorldCrop, rng: np.random.Generator, hw: tuple[int, int], window: Window) -> WorldCrop:
@@ -267,14 +322,15 @@ def _cut(whole: WorldCrop, rng: np.random.Generator, hw: tuple[int, int], window
     shift = _shift(truth_px, window, rng, limits=(x0 - (whole.ref.shape[-1] - width), x0))
     ref, src = whole.ref[here], whole.src[..., y0 : y0 + height, x0 - shift : x0 - shift + width]
     truth_px = truth_px - shift
-    x_src = torch.arange(width) - truth_px
+    x_src = torch.arange(width, device=truth_px.device) - truth_px
     occluded = occluded | (x_src < 0) | (x_src > width - 1)
     return WorldCrop(ref.float() / 255, src.float() / 255, truth_px, occluded)
 
 
 def _shift(truth_px: Tensor, window: tuple[int, int], rng: np.random.Generator, *, limits: tuple[int, int]) -> int:
     """Shift of src by which the crop's disparities lie somewhere in the window."""
-    low, high = (float(v) for v in torch.quantile(truth_px.flatten()[::7], torch.tensor([0.01, 0.99])))
+    shares = torch.tensor([0.01, 0.99], device=truth_px.device)
+    low, high = torch.quantile(truth_px.flatten()[::7], shares).tolist()
     slack = max(0.0, window[1] - window[0] - (high - low) - 2 * MARGIN_PX)
     wanted = low - window[0] - MARGIN_PX - rng.uniform(0, 1) * slack
     return int(np.clip(round(wanted), *limits))
@@ -288,9 +344,11 @@ def _mild_damage(rng: np.random.Generator) -> Damage:
 
 def _recoloured(crop: WorldCrop, rng: np.random.Generator) -> WorldCrop:
     """Exchange channels, change exposure and turn upside down, alike in both views; grey now and then."""
-    order = torch.from_numpy(rng.permutation(3))
+    order = rng.permutation(3).tolist()
     gamma, gain = math.exp(rng.normal(0, 0.25)), math.exp(rng.normal(0, 0.2))
-    ref, src = ((view[order] ** gamma * gain).clamp(0, 1) for view in (crop.ref, crop.src))
+    ref, src = (
+        (torch.stack([view[channel] for channel in order]) ** gamma * gain).clamp(0, 1) for view in (crop.ref, crop.src)
+    )
     if rng.random() < 0.08:
         ref, src = (view.mean(dim=0, keepdim=True).expand(3, -1, -1) for view in (ref, src))
     parts = (ref, src, crop.truth_px, crop.occluded)

@@ -16,6 +16,7 @@ from telewide.benchmark.report import write_report_json
 from telewide.benchmark.speed import SpeedOptions, measure_speed, speed_table
 from telewide.errors import TelewideError, UsageError
 from telewide.training.weights_card import read_card
+from telewide.training.world_samples import STEPS_A_WORLD
 
 TINY = SpeedOptions(
     device="cpu",
@@ -25,6 +26,7 @@ TINY = SpeedOptions(
     crop_window=(0, 64),  # narrower ones are trained in float32
     image_hw=(64, 96),
     image_window=(0, 32),
+    world_hw=(64, 96),
 )
 
 
@@ -74,6 +76,15 @@ def test_a_matcher_may_be_called_as_the_option_method_calls_it() -> None:
     assert {"sgm", "network", "guided"} <= set(re.findall(r"[\w-]+", str(caught.value.hint)))
 
 
+def test_worlds_give_pairs_no_faster_than_they_are_cast_and_damaged() -> None:
+    report = measure_speed(dataclasses.replace(TINY, matchers=(SGM,)), tell=lambda _: None)
+    (worlds,) = report.further["worlds"]
+    seconds = worlds["cast"]["median_s"] / STEPS_A_WORLD + worlds["damage"]["median_s"] / 4
+    assert worlds["pairs_per_s"] == pytest.approx(1 / seconds)
+    assert worlds["taken_per_s"] == {}
+    assert f"{worlds['pairs_per_s']:.2f} pairs/s of 64x96" in speed_table(report)
+
+
 @pytest.mark.slow
 def test_every_matcher_gets_a_line(tmp_path: Path) -> None:
     from telewide.benchmark.networks import available_precisions
@@ -84,7 +95,11 @@ def test_every_matcher_gets_a_line(tmp_path: Path) -> None:
     precisions = available_precisions(choose_device("cpu"))
     expected = [(SGM, "-"), *((name, precision) for name in NETWORKS for precision in precisions)]
     assert [(row["matcher"], row["precision"]) for row in report.rows] == expected
-    assert len(speed_table(report).splitlines()) == 2 + len(expected)
+    assert len(speed_table(report).splitlines()) == 2 + len(expected) + 2
+    (worlds,) = report.further["worlds"]
+    steps = {" ".join(variant): row["training_step"] for variant, row in zip(expected, report.rows, strict=True)}
+    for name, pairs_per_s in worlds["taken_per_s"].items():
+        assert pairs_per_s == pytest.approx(2 * (128 * 192) / (64 * 96) / steps[name]["median_s"])
     write_report_json(report, tmp_path / "speed.json")
     content = json.loads((tmp_path / "speed.json").read_text())
     assert content["machine"]["device"] == "cpu"

@@ -1,10 +1,13 @@
 """``telewide train`` begins with the weights it was told to: steps too small to move any leave those in the result.
 
-Oracles: the file of the box, and the network built anew from the seed.
+Oracles: the file of the box, and the network built anew from the seed; of a training that is stopped in time, its own
+record of where it stands.
 """
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from telewide.assets import BOX_WEIGHTS
 from telewide.cli import main
 from telewide.matching.networks import build_network
 from telewide.simulate.captures import write_captures
+from telewide.training.weights_card import read_card
 
 SETTINGS = (
     *("train.stages=0", "train.rehearsal.steps=1", "train.rehearsal.least_steps=1", "train.rehearsal.rehearsed=1"),
@@ -58,3 +62,35 @@ def test_a_start_that_is_neither_is_refused(capsys: pytest.CaptureFixture[str]) 
         main(("train", "--from", "boxes"))
     assert left.value.code == 2
     assert "Did you mean box?" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_training_stops_when_its_minutes_are_over_and_says_how_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sizes = ("train.crop_hw=[64, 96]", "train.rehearsal.steps=50", "train.rehearsal.rehearsed=1", "network=lite")
+    settings = tuple(word for setting in sizes for word in ("--set", setting))
+    asked = ("--recipe", "box", "--device", "cpu", "--out", str(tmp_path / "run"), *settings, "--minutes", "0.001")
+    for words in (("--fresh",), ()):
+        with pytest.raises(SystemExit) as left:
+            main(("train", *asked, *words, "--json"))
+        assert not left.value.code
+        shown = capsys.readouterr()
+        assert json.loads(shown.out)["is_finished"] is False
+        said = re.sub(r"\s+", " ", shown.err)  # a narrow terminal breaks lines
+        (again,) = re.findall(r"stopped after 0.001 min; to continue: telewide (.*)", said)
+        assert "--fresh" not in again
+        assert "--minutes 0.001" in again
+    assert read_card(tmp_path / "run" / "train" / "weights.safetensors").training["step"] == 2
+
+
+@pytest.mark.parametrize("minutes", ["0", "-3", "nan"])
+def test_minutes_that_are_none_are_refused(
+    minutes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(("train", "--recipe", "box", "--minutes", minutes))
+    assert left.value.code == 2
+    assert f"{minutes} minutes; a number above 0 was expected" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -74,6 +76,20 @@ def test_a_stopped_training_ends_as_one_that_was_not(tmp_path: Path) -> None:
     assert all(torch.equal(first[name], second[name]) for name in first)
     assert read_card(whole.weights).recipe["train"]["worlds"] is True
     assert (tmp_path / "whole" / "train" / "rehearsal.png").is_file()
+
+
+def test_a_training_whose_time_is_up_goes_on_as_one_that_was_not_stopped(tmp_path: Path) -> None:
+    whole = train_box(recipe(3), run=tmp_path / "whole", fresh=False, device="cpu", observer=Quiet())
+    for step in (1, 2):
+        cut = train_box(
+            recipe(3), run=tmp_path / "cut", fresh=False, device="cpu", observer=Quiet(), deadline_s=time.monotonic()
+        )
+        assert not cut.is_finished
+        assert read_card(cut.weights).training["step"] == step
+    end = train_box(recipe(3), run=tmp_path / "cut", fresh=False, device="cpu", observer=Quiet(), deadline_s=math.inf)
+    assert end.is_finished
+    first, second = load_file(whole.weights), load_file(end.weights)
+    assert all(torch.equal(first[name], second[name]) for name in first)
 
 
 def test_another_recipe_does_not_go_on_with_it(tmp_path: Path) -> None:

@@ -113,3 +113,15 @@ def test_enlarged_crops_are_warped_onto_each_other_by_their_truth() -> None:
 
 def _as_batch(crop: WorldCrop) -> Batch:
     return Batch(crop.ref[None], crop.src[None], crop.truth_px[None], n_rehearsed=1, occluded_BHW=crop.occluded[None])
+
+
+def test_a_gpu_makes_its_crops_itself_and_the_same_ones_again(batches: list[Batch], gpu: str) -> None:
+    source = WorldSource(seed=3, crop_hw=(96, 128), device=torch.device(gpu))
+    stage = Stage("rehearsal", 0, StageOptions(steps=10, rehearsed=3))
+    made, again = (WorldBatches(source, stage)[4] for _ in range(2))
+    here = batches[4]
+    assert made.ref_BCHW.device.type == made.occluded_BHW.device.type == gpu
+    assert torch.equal(made.src_BCHW, again.src_BCHW)
+    assert made.window == here.window
+    off_px = (made.truth_px_BHW.cpu() - here.truth_px_BHW).abs()
+    assert float((off_px > 0.01).float().mean()) < 0.02

@@ -1,13 +1,15 @@
 """Damage by a second, worse camera to a view, in torch: moved, blurred, shrunken, noisy, compressed, tinted, enlarged.
 
 The same order and meaning as `telewide.simulate.degrade`, with the lens' falloff and clipped highlights besides, on the
-device of the view. Letters: H W view, h w as the worse camera saw it.
+device of the view. Letters: B views, H W view, h w as the worse camera saw it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,6 +17,8 @@ from torch import Tensor
 from torch.nn import functional
 
 JPEG_BLOCK = 8
+LEAST_BLUR = 0.2
+"""Sigma, px, below which nothing is blurred."""
 
 
 @dataclass(frozen=True)
@@ -90,19 +94,74 @@ def damage_view(view_CHW: Tensor, damage: Damage, *, generator: torch.Generator)
     Returns:
         (3, H, W) float32, sRGB in [0, 1].
     """
-    hw = view_CHW.shape[-2:]
-    x = _blur(_move(view_CHW[None], damage), damage)
-    if damage.factor > 1:
-        x = _resize(x, (max(8, round(hw[0] / damage.factor)), max(8, round(hw[1] / damage.factor))))
-    if damage.vignetting:
-        x = x * _falloff(x, damage.vignetting)
-    if damage.noise_std:
-        x = x + damage.noise_std * torch.randn(x.shape, generator=generator, device=x.device)
-    x = (x.clamp(0, 1) ** damage.gamma) * torch.tensor(damage.gain, device=x.device)[:, None, None]
-    x = x.clamp(0, 1)
-    if damage.jpeg_quality is not None:
-        x = compress_jpeg(x, quality=damage.jpeg_quality)
-    return _resize(x, (hw[0], hw[1]))[0].clamp(0, 1)
+    return damage_views([view_CHW], [damage], generators=[generator])[0]
+
+
+def damage_views(
+    views_CHW: Sequence[Tensor], damages: Sequence[Damage], *, generators: Sequence[torch.Generator]
+) -> list[Tensor]:
+    """Damage views of one size, many in each call, and enlarge them back to it.
+
+    Args:
+        views_CHW: (3, H, W) float32 each, sRGB in [0, 1].
+        damages: what happens to each.
+        generators: source of the noise of each, on the views' device; views that share one draw from it in turn.
+
+    Returns:
+        (3, H, W) float32 each, sRGB in [0, 1], to rounding what each would be alone.
+    """
+    x, hw = [*views_CHW], (views_CHW[0].shape[-2], views_CHW[0].shape[-1])
+    _change(x, damages, _move, chosen=[k for k, damage in enumerate(damages) if _is_moved(damage)])
+    _change(x, damages, _blur, chosen=[k for k, damage in enumerate(damages) if damage.blur_sigma_px[0] >= LEAST_BLUR])
+    seen_hw = [_seen_hw(damage, hw) for damage in damages]
+    noise = [
+        damage.noise_std * torch.randn((3, *size), generator=generator, device=generator.device)
+        if damage.noise_std
+        else x[0].new_zeros((3, *size))
+        for damage, size, generator in zip(damages, seen_hw, generators, strict=True)
+    ]
+    for size in dict.fromkeys(seen_hw):
+        chosen = [k for k, seen in enumerate(seen_hw) if seen == size]
+        noise_BChw = torch.stack([noise[k] for k in chosen])
+        _change(x, damages, partial(_photographed, noise_BChw=noise_BChw), chosen=chosen)
+    return x
+
+
+def _change(
+    x: list[Tensor], damages: Sequence[Damage], change: Callable[..., Tensor], *, chosen: Sequence[int]
+) -> None:
+    """Change the chosen ones of some views, in place, all in one call."""
+    if chosen:
+        changed = change(torch.stack([x[k] for k in chosen]), [damages[k] for k in chosen])
+        for k, view in zip(chosen, changed, strict=True):
+            x[k] = view
+
+
+def _seen_hw(damage: Damage, hw: tuple[int, int]) -> tuple[int, int]:
+    """Size of a view as the worse camera sees it."""
+    if damage.factor <= 1:
+        return hw
+    return max(8, round(hw[0] / damage.factor)), max(8, round(hw[1] / damage.factor))
+
+
+def _photographed(x_BCHW: Tensor, damages: Sequence[Damage], *, noise_BChw: Tensor) -> Tensor:
+    """Shrink views to the size of their noise, and lose what the worse camera loses."""
+
+    def each(values: Sequence[float | tuple[float, ...]]) -> Tensor:
+        return torch.tensor(values, device=x_BCHW.device).reshape(len(values), -1, 1, 1)
+
+    x = _resize(x_BCHW, (noise_BChw.shape[-2], noise_BChw.shape[-1]))
+    if any(damage.vignetting for damage in damages):
+        x = x * _falloff(x, each([damage.vignetting for damage in damages]))
+    x = (x + noise_BChw).clamp(0, 1)
+    # A tensor of exponents would round otherwise than one exponent at a time.
+    x = torch.cat([view**damage.gamma for view, damage in zip(x.split(1), damages, strict=True)])
+    x = (x * each([damage.gain for damage in damages])).clamp(0, 1)
+    qualities = [damage.jpeg_quality for damage in damages]
+    if any(quality is not None for quality in qualities):
+        views = zip(x.split(1), qualities, strict=True)
+        x = torch.cat([view if quality is None else compress_jpeg(view, quality=quality) for view, quality in views])
+    return _resize(x, (x_BCHW.shape[-2], x_BCHW.shape[-1])).clamp(0, 1)
 
 
 def _resize(x_BCHW: Tensor, hw: tuple[int, int]) -> Tensor:
@@ -111,40 +170,52 @@ def _resize(x_BCHW: Tensor, hw: tuple[int, int]) -> Tensor:
     return functional.interpolate(x_BCHW, size=hw, mode="bicubic", align_corners=False, antialias=True)
 
 
-def _move(x_BCHW: Tensor, damage: Damage) -> Tensor:
-    if not (damage.vertical_px or damage.vertical_slope or damage.turn_rad):
-        return x_BCHW
+def _is_moved(damage: Damage) -> bool:
+    return bool(damage.vertical_px or damage.vertical_slope or damage.turn_rad)
+
+
+def _move(x_BCHW: Tensor, damages: Sequence[Damage]) -> Tensor:
     height, width = x_BCHW.shape[-2:]
     y = torch.arange(height, device=x_BCHW.device, dtype=torch.float32)[:, None] - (height - 1) / 2
     x = torch.arange(width, device=x_BCHW.device, dtype=torch.float32)[None, :] - (width - 1) / 2
+    moves = [(damage.vertical_px, damage.vertical_slope, damage.turn_rad) for damage in damages]
+    down, slope, turn = torch.tensor(moves, device=x_BCHW.device).T[..., None, None]
     # A small turn moves rows by the column; what it does along x is disparity, which the truth would have to follow.
-    y_from = y - damage.vertical_px - damage.vertical_slope * y - damage.turn_rad * x
-    grid_y = (2 * y_from / height)[..., None]
-    grid_x = (2 * x / width).expand(height, width)[..., None]
-    grid = torch.cat((grid_x, grid_y), dim=-1)[None]
+    y_from = y - down - slope * y - turn * x
+    grid_y = 2 * y_from / height
+    grid = torch.stack(((2 * x / width).expand_as(grid_y), grid_y), dim=-1)
     return functional.grid_sample(x_BCHW, grid, mode="bicubic", padding_mode="reflection", align_corners=False)
 
 
-def _blur(x_BCHW: Tensor, damage: Damage) -> Tensor:
+def _blur(x_BCHW: Tensor, damages: Sequence[Damage]) -> Tensor:
+    batch, channels, height, width = x_BCHW.shape
+    kernels = [_kernel(damage) for damage in damages]
+    reach = max(len(kernel) for kernel in kernels) // 2
+    wide = torch.stack([functional.pad(kernel, (reach - len(kernel) // 2,) * 4) for kernel in kernels])
+    weight = wide.repeat_interleave(channels, dim=0)[:, None].to(x_BCHW.device)
+    reach = min(reach, min(height, width) - 1)
+    padded = functional.pad(x_BCHW, (reach,) * 4, mode="reflect")
+    # Each channel of each view is a group of its own.
+    blurred = functional.conv2d(padded.flatten(0, 1)[None], weight, groups=batch * channels)
+    return blurred.reshape(batch, channels, *blurred.shape[-2:])
+
+
+def _kernel(damage: Damage) -> Tensor:
+    """(k, k) weights of a blur, on the processor."""
     major, minor = damage.blur_sigma_px
-    if major < 0.2:
-        return x_BCHW
     reach = math.ceil(2.6 * major)
-    axis = torch.arange(-reach, reach + 1, device=x_BCHW.device, dtype=torch.float32)
+    axis = torch.arange(-reach, reach + 1, dtype=torch.float32)
     cos, sin = math.cos(damage.blur_angle_rad), math.sin(damage.blur_angle_rad)
     along, across = cos * axis[None, :] + sin * axis[:, None], cos * axis[:, None] - sin * axis[None, :]
-    kernel = torch.exp(-0.5 * ((along / major) ** 2 + (across / max(minor, 0.2)) ** 2))
-    kernel = (kernel / kernel.sum()).expand(x_BCHW.shape[1], 1, -1, -1)
-    reach = min(reach, min(x_BCHW.shape[-2:]) - 1)
-    padded = functional.pad(x_BCHW, (reach,) * 4, mode="reflect")
-    return functional.conv2d(padded, kernel, groups=x_BCHW.shape[1])
+    kernel = torch.exp(-0.5 * ((along / major) ** 2 + (across / max(minor, LEAST_BLUR)) ** 2))
+    return kernel / kernel.sum()
 
 
-def _falloff(x_BCHW: Tensor, loss: float) -> Tensor:
+def _falloff(x_BCHW: Tensor, loss_B111: Tensor) -> Tensor:
     height, width = x_BCHW.shape[-2:]
     y = torch.linspace(-1, 1, height, device=x_BCHW.device)[:, None]
     x = torch.linspace(-1, 1, width, device=x_BCHW.device)[None, :]
-    return 1 - loss * (x * x + y * y) / 2
+    return 1 - loss_B111 * (x * x + y * y) / 2
 
 
 def compress_jpeg(x_BCHW: Tensor, *, quality: int) -> Tensor:

@@ -2,7 +2,7 @@
 
 A solid lives in local coordinates ``p = local_from_world (P - centre)`` in which it has unit size; a ray is ``o + t d``
 there. Rays of a pinhole camera have ``d_z = 1`` in the world, so that t is the depth. Every function returns t of the
-first hit, inf where there is none, and broadcasts over the maps of the ray's direction.
+first hit, inf where there is none, and broadcasts over the maps of the ray's direction: one solid or many at a time.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ def hit_ellipsoid(origin: Ray, direction: Ray) -> Tensor:
     return _nearer_root(a, b, c)
 
 
-def hit_cone(origin: Ray, direction: Ray, *, taper: float) -> Tensor:
-    """First hit of the mantle or of the end that faces the camera."""
+def hit_cone(origin: Ray, direction: Ray, *, taper: Tensor) -> Tensor:
+    """First hit of the mantle or of the end that faces the camera; the taper is float64."""
     (ox, oy, oz), (dx, dy, dz) = origin, direction
-    slope = taper / 2
-    radius = 1 - slope - slope * oz
-    a = dx * dx + dy * dy - slope * slope * dz * dz
+    slope, squared, level = ((taper / 2).to(dz), (taper / 2).square().to(dz), (1 - taper / 2).to(dz))
+    radius = level - slope * oz
+    a = dx * dx + dy * dy - squared * dz * dz
     b = ox * dx + oy * dy + slope * dz * radius
     c = ox * ox + oy * oy - radius * radius
     mantle = _nearer_root(a.clamp(min=1e-12), b, c)
     mantle = torch.where((oz + mantle * dz).abs() <= 1, mantle, torch.inf)
     end = (-torch.sign(dz) - oz) / dz
     x, y, z = ox + end * dx, oy + end * dy, -torch.sign(dz)
-    is_on_end = (x * x + y * y <= (1 - slope - slope * z) ** 2) & (end > NEAREST)
+    is_on_end = (x * x + y * y <= (level - slope * z) ** 2) & (end > NEAREST)
     return torch.minimum(mantle, torch.where(is_on_end, end, torch.inf))
 
 
@@ -79,9 +79,10 @@ def hit_plane(origin: Ray, direction: Ray, *, waves: Tensor | None) -> Tensor:
 
 
 def relief(x: Tensor, y: Tensor, waves: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Height and both slopes of a sum of sines: rows of ``waves`` are (height, rate in x, rate in y, phase)."""
+    """Height and both slopes of a sum of sines: rows (..., n, 4) are (height, rate in x, rate in y, phase)."""
     total, slope_x, slope_y = (torch.zeros_like(x) for _ in range(3))
-    for height, rate_x, rate_y, phase in waves.tolist():
+    for wave in waves.unbind(dim=-2):
+        height, rate_x, rate_y, phase = wave.unbind(dim=-1)
         angle = rate_x * x + rate_y * y + phase
         total += height * torch.sin(angle)
         steep = height * torch.cos(angle)
@@ -106,10 +107,10 @@ def _nearer_root(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
 
 
 def _slabs(origin: Ray, direction: Ray) -> tuple[Tensor, Tensor]:
-    enter, leave = torch.full((), -torch.inf), torch.full((), torch.inf)
+    enter, leave = (origin[0].new_full((), far) for far in (-torch.inf, torch.inf))
     for o, d in zip(origin, direction, strict=True):
         inverse = 1 / torch.where(d.abs() < 1e-12, 1e-12, d)
         one, other = (-1 - o) * inverse, (1 - o) * inverse
-        enter = torch.maximum(enter.to(one), torch.minimum(one, other))
-        leave = torch.minimum(leave.to(one), torch.maximum(one, other))
+        enter = torch.maximum(enter, torch.minimum(one, other))
+        leave = torch.minimum(leave, torch.maximum(one, other))
     return enter, leave

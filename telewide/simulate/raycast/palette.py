@@ -22,7 +22,7 @@ from telewide.simulate.raycast.patterns import draw_texture
 TEXTURE_PX = 256
 LEVELS = 6
 OUTLINE_PX = 128
-_LEVEL_STARTS = tuple(sum((TEXTURE_PX >> k) ** 2 for k in range(level)) for level in range(LEVELS + 1))
+_TEXELS = sum((TEXTURE_PX >> level) ** 2 for level in range(LEVELS))
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,10 @@ class Palette:
     textures: Tensor
     outlines: Tensor
     means: Tensor
+
+    def to(self, device: torch.device) -> Palette:
+        """Move the tables."""
+        return Palette(*(table.to(device) for table in (self.textures, self.outlines, self.means)))
 
     @property
     def n_textures(self) -> int:
@@ -83,18 +87,19 @@ def look_up_texture(palette: Palette, texture: Tensor, uv: Tensor, *, texels_per
     """
     level = texels_per_px.clamp(min=1e-3).log2().round().clamp(0, LEVELS - 1).long()
     side = torch.bitwise_right_shift(torch.full_like(level, TEXTURE_PX), level)
-    starts = torch.tensor(_LEVEL_STARTS, device=level.device)
-    first = texture * _LEVEL_STARTS[-1] + starts[level]
+    # Levels of S^2, (S / 2)^2, (S / 4)^2, ... texels lie one after the other.
+    start = torch.div((TEXTURE_PX**2 - side * side) * 4, 3, rounding_mode="floor")
+    first = texture * _TEXELS + start
     position = (uv + 0.5) * torch.exp2(-level.float())[:, None] - 0.5
     return _bilinear(palette.textures, position, first, side)
 
 
-def look_up_outline(palette: Palette, outline: int, uv: Tensor) -> Tensor:
-    """(n,) signed distance of an outline at (n, 2) positions in [-1, 1], bilinear."""
+def look_up_outline(palette: Palette, outline: Tensor, uv: Tensor) -> Tensor:
+    """(n,) signed distance of (n,) outlines at (n, 2) positions in [-1, 1], bilinear."""
     position = (uv + 1) * (OUTLINE_PX / 2) - 0.5
     position = position.clamp(0, OUTLINE_PX - 1)
     side = torch.full((len(position),), OUTLINE_PX, device=uv.device)
-    return _bilinear(palette.outlines, position, torch.full_like(side, outline * OUTLINE_PX**2), side)[:, 0]
+    return _bilinear(palette.outlines, position, outline * OUTLINE_PX**2, side)[:, 0]
 
 
 def _bilinear(table: Tensor, position: Tensor, first: Tensor, side: Tensor) -> Tensor:

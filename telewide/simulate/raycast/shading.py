@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from telewide.simulate.raycast.casting import padded_waves
 from telewide.simulate.raycast.hits import Kind, relief
 from telewide.simulate.raycast.palette import Palette, look_up_texture
 from telewide.simulate.raycast.world import Camera, Material, World
@@ -34,13 +35,21 @@ class Paint:
         world: the scene.
         palette: its textures.
         rows: (N + 1, columns) float32, the last row for the sky.
-        waves: solids with a relief, and theirs.
+        waves: (N + 1, k, 4) reliefs, waves of no height where a solid has none.
+        is_wavy: (N + 1,) bool.
+        casters: of shadows: number, (3, 3) ``local_from_world`` and (3,) centre.
+        towards: (3,) to the light.
+        light_colour: (3,) of the directed light.
     """
 
     world: World
     palette: Palette
     rows: Tensor
-    waves: tuple[tuple[int, Tensor], ...]
+    waves: Tensor
+    is_wavy: Tensor
+    casters: tuple[tuple[int, Tensor, Tensor], ...]
+    towards: Tensor
+    light_colour: Tensor
 
 
 _COLUMNS = {"local": 9, "centre": 3, "size": 3, "kind": 1, "taper": 1, "texture": 1, "macro": 1, "density": 1}
@@ -63,13 +72,22 @@ def paint_of(world: World, palette: Palette) -> Paint:
         for solid in world.solids
     ]
     rows.append([*np.eye(3).flatten(), 0, 0, 0, 1, 1, 1, _SKY_KIND, 0, *_material(world.sky)])
-    device = palette.textures.device
-    waves = tuple(
-        (number, torch.as_tensor(solid.waves, dtype=torch.float32, device=device))
-        for number, solid in enumerate(world.solids)
-        if solid.waves is not None
+    waves = [*(solid.waves for solid in world.solids), None]
+
+    def table(values: object) -> Tensor:
+        return torch.from_numpy(np.array(values, np.float32)).to(palette.textures.device)
+
+    casters = [(number, solid) for number, solid in enumerate(world.solids) if solid.casts_shadow][:SHADOW_CASTERS]
+    return Paint(
+        world=world,
+        palette=palette,
+        rows=table(rows),
+        waves=table(padded_waves(waves)),
+        is_wavy=table([rows is not None for rows in waves]) > 0,
+        casters=tuple((number, table(solid.local_from_world), table(solid.centre)) for number, solid in casters),
+        towards=table(world.light.towards),
+        light_colour=table(world.light.colour),
     )
-    return Paint(world, palette, torch.tensor(rows, dtype=torch.float32, device=device), waves)
 
 
 def _material(material: Material) -> list[float]:
@@ -124,7 +142,7 @@ def shade(paint: Paint, hits: Hits, *, camera: Camera) -> Tensor:
     normal = torch.where((normal * ray).sum(dim=-1, keepdim=True) > 0, -normal, normal)
     facing = -(normal * functional.normalize(ray, dim=-1)).sum(dim=-1)
     colour = _albedo(palette=palette, part=part, local=local, axis=axis, depth=depth, facing=facing, world=world)
-    lit = _light(world, point, normal, solid)
+    lit = _light(paint, point, normal, solid)
     colour = torch.where(far[:, None], colour, colour * lit)
     return _mirror(colour=colour, palette=palette, part=part, ray=ray, normal=normal, far=far)
 
@@ -142,9 +160,9 @@ def _normal(local: Tensor, kind: Tensor, taper: Tensor, solid: Tensor, paint: Pa
     normal = functional.one_hot(axis, 3).to(local)
     round_one = (kind == Kind.ELLIPSOID)[:, None]
     normal = torch.where(round_one, local, torch.where((is_cone & ~on_end)[:, None], mantle, normal))
-    for number, waves in paint.waves:
-        place = (solid == number).nonzero()[:, 0]
-        _, slope_x, slope_y = relief(local[place, 0], local[place, 1], waves)
+    place = paint.is_wavy[solid].nonzero()[:, 0]
+    if len(place):
+        _, slope_x, slope_y = relief(local[place, 0], local[place, 1], paint.waves[solid[place]])
         normal[place, :2] = -torch.stack((slope_x, slope_y), dim=-1)
     return normal, axis
 
@@ -153,7 +171,7 @@ def _albedo(
     palette: Palette, part: dict[str, Tensor], local: Tensor, axis: Tensor, depth: Tensor, facing: Tensor, world: World
 ) -> Tensor:
     position = local * part["size"]
-    other = torch.tensor([[1, 2], [0, 2], [0, 1]], device=axis.device)[axis]
+    other = torch.stack(((axis == 0).long(), 2 - (axis == 2).long()), dim=-1)
     texels_per_px = part["density"][:, 0] * depth / world.focal_px
     uv = position.gather(1, other) * part["density"] + part["offset"]
     texture, macro = part["texture"][:, 0].long(), part["macro"][:, 0].long()
@@ -165,21 +183,17 @@ def _albedo(
     return colour * (1 + part["macro_contrast"] * shade_of_coarse).clamp(min=0.2) * part["tint"]
 
 
-def _light(world: World, point: Tensor, normal: Tensor, solid: Tensor) -> Tensor:
+def _light(paint: Paint, point: Tensor, normal: Tensor, solid: Tensor) -> Tensor:
     """(n, 3) ambient and directed light; the directed part is cut off softly behind the largest solids."""
-    towards = torch.as_tensor(world.light.towards, dtype=torch.float32, device=point.device)
+    towards, ambient = paint.towards, paint.world.light.ambient
     direct = (normal @ towards).clamp(min=0)
-    casters = [(number, item) for number, item in enumerate(world.solids) if item.casts_shadow][:SHADOW_CASTERS]
-    for number, item in casters:
-        local = torch.as_tensor(item.local_from_world, dtype=torch.float32, device=point.device)
-        centre = torch.as_tensor(item.centre, dtype=torch.float32, device=point.device)
+    for number, local, centre in paint.casters:
         start, way = (point - centre) @ local.T, local @ towards
         along = -(start @ way) / (way @ way)
         distance = (start + along[:, None] * way).norm(dim=-1)
         light = ((distance - SHADOW_EDGE[0]) / (SHADOW_EDGE[1] - SHADOW_EDGE[0])).clamp(0, 1)
         direct = direct * torch.where((along > 0) & (solid != number), light, 1.0)
-    colour = torch.tensor(world.light.colour, device=point.device)
-    return world.light.ambient + (1 - world.light.ambient) * direct[:, None] * colour
+    return ambient + (1 - ambient) * direct[:, None] * paint.light_colour
 
 
 def _mirror(

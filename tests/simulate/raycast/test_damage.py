@@ -1,8 +1,9 @@
-"""Damage in torch against its twin in numpy, and its JPEG against Pillow's."""
+"""Damage in torch against its twin in numpy, its JPEG against Pillow's, many views at once against one at a time."""
 
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import torch
 from PIL import Image
 
 from telewide.simulate.degrade import Degradation, degrade
-from telewide.simulate.raycast.damage import Damage, compress_jpeg, damage_view, draw_damage
+from telewide.simulate.raycast.damage import Damage, compress_jpeg, damage_view, damage_views, draw_damage
 from telewide.simulate.raycast.patterns import draw_texture
 
 SIDE = 96
@@ -74,3 +75,44 @@ def test_drawn_damage_is_a_function_of_its_generators() -> None:
     first, second = (damaged(picture, drawn(7), seed=7) for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert sum(drawn(seed).factor == 1 for seed in range(300)) in range(12, 60)
+
+
+def many(count: int, *, device: str = "cpu") -> tuple[list[torch.Tensor], list[Damage]]:
+    """Views of one size with a drawn damage each, some of them alike in what is damaged."""
+    views = [torch.from_numpy(view(seed % 5).transpose(2, 0, 1).copy()).to(device) for seed in range(count)]
+    return views, [drawn(seed) if seed % 3 else Damage(blur_sigma_px=(0.5, 0.5)) for seed in range(count)]
+
+
+def generators(count: int, *, device: str = "cpu") -> list[torch.Generator]:
+    return [torch.Generator(device).manual_seed(seed) for seed in range(count)]
+
+
+def apart(one: list[torch.Tensor], other: list[torch.Tensor]) -> list[float]:
+    return [float((a - b.to(a)).abs().mean()) for a, b in zip(one, other, strict=True)]
+
+
+def test_views_damaged_together_are_damaged_as_each_alone() -> None:
+    views, damages = many(16)
+    assert len({damage.jpeg_quality for damage in damages}) > 1
+    together = damage_views(views, damages, generators=generators(16))
+    alone = [damage_view(*pair, generator=of) for *pair, of in zip(views, damages, generators(16), strict=True)]
+    assert max(apart(together, alone)) < 1e-5
+    assert min(apart(together, views)) > 1e-4
+
+
+def test_views_that_share_a_generator_draw_from_it_in_turn() -> None:
+    views, damages = many(2)
+    noisy = [Damage(noise_std=0.1, factor=3.0), Damage(noise_std=0.1)]
+    shared, (again, _) = generators(1) * 2, generators(2)
+    together = damage_views(views, noisy, generators=shared)
+    in_turn = [damage_view(one, damage, generator=again) for one, damage in zip(views, noisy, strict=True)]
+    assert max(apart(together, in_turn)) < 1e-5
+    assert min(apart(together, damage_views(views, damages, generators=generators(2)))) > 1e-3
+
+
+def test_a_gpu_damages_as_the_processor_does(gpu: str) -> None:
+    (views, damages), (there, _) = many(16), many(16, device=gpu)
+    silent = [replace(damage, noise_std=0.0) for damage in damages]  # each device draws noise of its own
+    found = damage_views(there, silent, generators=generators(16, device=gpu))
+    assert all(each.device.type == gpu for each in found)
+    assert max(apart(damage_views(views, silent, generators=generators(16)), found)) < 2e-3

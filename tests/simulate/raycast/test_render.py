@@ -93,3 +93,30 @@ def test_disparities_fill_the_range_asked_for(palette: Palette) -> None:
     inside = ((values > WINDOW_PX[0] - 4) & (values < WINDOW_PX[1] + 4)).float().mean()
     assert inside > 0.8
     assert float(torch.quantile(values, 0.9)) > 20
+
+
+def shares_apart(one: CastPair, other: CastPair) -> list[float]:
+    """Shares of the pixels whose colours, disparity or hiding differ by more than rounding."""
+    apart = [
+        *((getattr(one, name) - getattr(other, name)).abs().amax(dim=-1) > 1e-3 for name in ("ref", "src")),
+        (one.disparity_px - other.disparity_px).abs() > 1e-3,
+        one.occluded != other.occluded,
+    ]
+    return [float(each.float().mean()) for each in apart]
+
+
+@pytest.mark.parametrize("rays_at_once", [HW[0] * HW[1], 5 * HW[0] * HW[1], 1 << 30])
+def test_solids_tested_together_are_seen_as_those_tested_one_by_one(palette: Palette, rays_at_once: int) -> None:
+    for seed in range(5):
+        world, alone = cast(seed, palette, is_matt=False)
+        assert max(shares_apart(cast_pair(world, palette, rays_at_once=rays_at_once), alone)) < 1e-3
+
+
+def test_a_gpu_casts_what_the_processor_casts(palette: Palette, gpu: str) -> None:
+    there = palette.to(torch.device(gpu))
+    for seed in range(5):
+        world, here = cast(seed, palette, is_matt=False)
+        pair = cast_pair(world, there)
+        assert pair.ref.device.type == gpu
+        moved = CastPair(pair.ref.cpu(), pair.src.cpu(), pair.disparity_px.cpu(), pair.occluded.cpu())
+        assert max(shares_apart(moved, here)) < 0.01
