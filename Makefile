@@ -83,7 +83,7 @@ bench: $(STAMP)
 	$(BIN)/telewide benchmark bokeh "$(DATA)/p30" $(RUN_FLAGS); \
 	else echo "left out: no captures at $(DATA)/p30; see the head of the Makefile" >&2; fi
 
-# Continues where it was stopped; some hours bring it near its end. On a GPU lent for a quarter of an hour, repeated until
+# Continues where it was stopped; some hours bring it near its end. On a GPU for a quarter of an hour, repeated until
 # it is done:  make box FROM=box MINUTES=14 DEVICE=cuda STEPS=20000 SET="train.crop_hw=[256,512]"
 box: $(STAMP)
 	$(BIN)/telewide train --recipe box --out $(BOX) $(BOX_FLAGS)

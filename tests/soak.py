@@ -54,8 +54,8 @@ LARGE = [int(megapixels) for megapixels in os.environ.get("TELEWIDE_MEGAPIXELS",
 TINY = (
     "--quiet --recipe quick --set network=lite --set train.start=scratch --set train.crop_hw=[64,64] "
     "--set train.rehearsal.steps=0 --set train.photometric.steps=2 --set train.photometric.least_steps=1 "
-    "--set train.photometric.captured=1 --set train.feature.steps=2 --set train.feature.rehearsed=0 "
-    "--set train.feature.labels_weight=0 --set train.judge_every_steps=2"
+    "--set train.photometric.captured=1 --set train.stages=1 --set train.feature.steps=2 "
+    "--set train.feature.captured=1 --set train.feature.captured_loss=feature --set train.judge_every_steps=2"
 )
 COMMANDS = {
     "depth": "depth captures --method sgm --bokeh --quiet",

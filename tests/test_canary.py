@@ -180,7 +180,7 @@ def test_what_stands_in_the_way_ends_no_command(clean: Path, tmp_path: Path, mon
         (root / place).parent.mkdir(parents=True, exist_ok=True)
         (root / place).write_text("in the way")
     for place in (
-        *("run/pairs/001/pair.json", "run/pairs/001/tele.png", "run/pairs/001/labels_0_32.pfm", "run/run.json"),
+        *("run/pairs/001/pair.json", "run/pairs/001/tele.png", "run/pairs/001/disparity_0_32.pfm", "run/run.json"),
         *("run/depth/000/preview.png", "run/train/state.pt", "run/train/log.jsonl", "run/train/weights.safetensors"),
         *("captures/000/truth.pfm", "roll/d.jpg", "run/report.html"),
     ):

@@ -41,7 +41,7 @@ from telewide.training.checkpoint import save_weights
 from telewide.training.weights_card import WeightsCard
 
 FILES = {"disparity.pfm", "disparity.png", "depth.npz", "preview.png", "bokeh.jpg", "depth.json"}
-TINY = ("train.rehearsal.steps=2", "train.feature.steps=1", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
+TINY = ("train.rehearsal.steps=2", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
 
 
 def run_cli(*words: str) -> int:

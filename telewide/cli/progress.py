@@ -106,9 +106,9 @@ class ConsoleObserver:
             self.said(f"disparities searched: {window[0]} to {window[1]} px")
         self._window = window
 
-    def labelling(self, total: int) -> Callable[[], None]:
-        """Show a bar over the labels."""
-        self._begin("labels to begin with", total=total)
+    def surveying(self, total: int) -> Callable[[], None]:
+        """Show a bar over the captures that are matched first."""
+        self._begin("matching your captures", total=total)
         return self._advance
 
     def detecting(self, total: int) -> Callable[[], None]:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from telewide.stages.train import TrainOutcome
 
 TRAIN_EPILOG = (
-    "Examples: `telewide train captures/ --recipe quick --set train.rehearsal.steps=300`; "
-    "`telewide train captures/ --minutes 20` trains for twenty minutes, and the same once more for twenty more."
+    "Example: `telewide train captures/ --recipe quick --minutes 20` trains for twenty minutes at most; the same call "
+    "goes on."
 )
 
 

@@ -103,7 +103,9 @@ def recipe_of_depth(run: Path | None, captures_root: Path, *, weights: Path | No
         return recipe
     from telewide.training.weights_card import read_card
 
-    taught = parse_options(Recipe, read_card(weights).recipe, source=str(weights), error=InputError)
+    # Of its training nothing matters, whose options were others in earlier versions.
+    stated = {name: value for name, value in read_card(weights).recipe.items() if name in OF_THE_PAIRS}
+    taught = parse_options(Recipe, stated, source=str(weights), error=InputError)
     return recipe.model_copy(update={name: getattr(taught, name) for name in OF_THE_PAIRS})
 
 

@@ -30,7 +30,7 @@ from telewide.records import MAX_JSON_BYTES, as_read, read_record
 from telewide.stages.align import Alignment, alignment_from_json, plain_rig
 from telewide.stages.pair_record import RECORD_NAME, PairRecord
 from telewide.stages.pairs import PreparedPair
-from telewide.training.samples import LABELS_NAME
+from telewide.training.samples import DISPARITY_NAME
 
 FORMAT = 7
 SHOT_NAME = "shot.json"
@@ -40,7 +40,7 @@ _MOST_BYTES_OF_MATCHES = 1 << 26
 
 
 def write_pair(folder: Path, corrected: CorrectedPair) -> None:
-    """Write a corrected pair, its masks and its matches; labels of what lay there before are removed.
+    """Write a corrected pair, its masks and its matches; disparities of what lay there before are removed.
 
     Args:
         folder: of the pair.
@@ -60,7 +60,7 @@ def write_pair(folder: Path, corrected: CorrectedPair) -> None:
             fitted_src_px=corrected.matches_fit.src_px,
         )
     for entry in folder.iterdir():
-        if LABELS_NAME.fullmatch(entry.name):
+        if DISPARITY_NAME.fullmatch(entry.name):
             entry.unlink()
 
 

@@ -42,8 +42,8 @@ class Observer(Reporter, Protocol):
     def searching(self, window: Window) -> None:
         """Views are to be matched within this window, px."""
 
-    def labelling(self, total: int) -> Callable[[], None]:
-        """Labels of ``total`` captures are about to be computed; the answer is called after each."""
+    def surveying(self, total: int) -> Callable[[], None]:
+        """``total`` captures are about to be matched, to learn from; the answer is called after each."""
 
     def matching(self, total: int, *, method: str) -> None:
         """``total`` captures are about to be matched."""
@@ -97,7 +97,7 @@ class Silent:
     def searching(self, window: Window) -> None:
         """Ignore it."""
 
-    def labelling(self, total: int) -> Callable[[], None]:
+    def surveying(self, total: int) -> Callable[[], None]:
         """Ignore it."""
         return _nothing
 

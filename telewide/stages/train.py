@@ -32,9 +32,9 @@ from telewide.points.held_out import HeldOut
 from telewide.recipe import Recipe
 from telewide.stages.call import Call, alone
 from telewide.stages.call import record as record_call
-from telewide.stages.labels import labeller_of, write_labels
 from telewide.stages.pairs import PreparedSet
 from telewide.stages.run_folder import RunFolder
+from telewide.stages.surfaces import surveyor_of, write_surfaces
 from telewide.stages.training_log import LoggedReporter, drop_log_after
 from telewide.stages.training_record import TrainingRecord, agreed_record, read_training, write_training
 from telewide.stages.training_result import TrainingResult, before_px
@@ -48,7 +48,7 @@ from telewide.training.checkpoint import (
     new_state,
     save_state,
 )
-from telewide.training.data import enlargement_of
+from telewide.training.data import Batches, StepBatches, enlargement_of
 from telewide.training.judge import JUDGE_SEED, Judge, crops_judge, joined_judge, judge_stage, network_judge
 from telewide.training.loop import Training
 from telewide.training.loop import train as run_training
@@ -139,8 +139,8 @@ def _train(call: Call, prepared: PreparedSet, *, fresh: bool, device: torch.devi
     observer.searching(record.window)
     if processes.is_writer:
         _note_what_is_taken_up(run, record, state)
-    if any(stage.needs_labels for stage in plan[state.stage_index :]):
-        _label(call, prepared, record, tick=observer.labelling(len(prepared.pairs)))
+    if any(stage.needs_surfaces for stage in plan):
+        _survey(call, prepared, record, tick=observer.surveying(len(prepared.pairs)))
     processes.wait()
     logged = LoggedReporter(observer, run, partial(_rows, prepared, record), is_writer=processes.is_writer)
     training = _training(prepared, run, record, recipe, network=state.network, device=device, processes=processes)
@@ -152,19 +152,24 @@ def planned(recipe: Recipe) -> tuple[Stage, ...]:
     """List the stages of a recipe.
 
     Raises:
-        UsageError: there are none.
+        UsageError: there are none, or one learns from a truth.
     """
     plan = plan_stages(recipe.train)
     if not plan:
         raise UsageError("the recipe has no stage with steps", hint="set train.rehearsal.steps above 0")
+    if supervised := [stage.name for stage in plan if stage.needs_truth]:
+        raise UsageError(
+            f"stage {supervised[0]} learns from a truth, which captures do not have",
+            hint="captured_loss: supervised is for the data sets of telewide benchmark paper",
+        )
     return plan
 
 
-def _label(call: Call, prepared: PreparedSet, record: TrainingRecord, *, tick: Callable[[], None]) -> None:
-    """Write the labels of this process' share of the captures that training sees."""
-    names = tuple(item.capture.name for item in prepared.pairs if item.capture.name not in record.held_out)
-    mine, labeller = call.processes.share(names), labeller_of(call.recipe.train)
-    write_labels(prepared, names=mine, window=record.window, labeller=labeller, device=call.device, tick=tick)
+def _survey(call: Call, prepared: PreparedSet, record: TrainingRecord, *, tick: Callable[[], None]) -> None:
+    """Write the surfaces of this process' share of the captures, those that judge among them."""
+    mine = call.processes.share(tuple(item.capture.name for item in prepared.pairs))
+    surveyor = surveyor_of(call.recipe.train)
+    write_surfaces(prepared, names=mine, window=record.window, surveyor=surveyor, device=call.device, tick=tick)
 
 
 def _take_up(
@@ -268,12 +273,12 @@ def _training(
         enlargement=enlargement,
         asymmetry=recipe.train.asymmetry or prepared.damage_factor or USUAL_ASYMMETRY,
         area=area,
-        labels_folder=run.pairs if any(stage.needs_labels for stage in plan_stages(recipe.train)) else None,
-        labeller=labeller_of(recipe.train),
+        disparities_folder=run.pairs if any(stage.needs_surfaces for stage in plan_stages(recipe.train)) else None,
+        surveyor=surveyor_of(recipe.train),
     )
     judge = network_judge(judged_captures(prepared, record, recipe), window=record.window, reader=PairReader())
-    if recipe.train.rehearsal.steps and recipe.train.rehearsal.rehearsed:
-        judge = joined_judge(judge, _worlds_judge(recipe, device))
+    if recipe.train.rehearsal.steps and recipe.train.rehearsal.exact:
+        judge = joined_judge(judge, _rehearsals_judge(prepared, record, recipe, like=source, device=device))
     return Training(
         folder=run.train,
         options=recipe.train,
@@ -288,10 +293,21 @@ def _training(
     )
 
 
-def _worlds_judge(recipe: Recipe, device: torch.device) -> Judge:
-    """Ask worlds that owe nothing to the captures: it stays the same when captures come or go."""
-    source = WorldSource(seed=recipe.seed + JUDGE_SEED, crop_hw=recipe.train.crop_hw, device=device)
-    return crops_judge(WorldBatches(source, judge_stage(steps=JUDGED_STEPS)), window=source.window_px)
+def _rehearsals_judge(
+    prepared: PreparedSet, record: TrainingRecord, recipe: Recipe, *, like: SampleSource, device: torch.device
+) -> Judge:
+    """Ask worlds that owe nothing to the captures and, where photos are taken again, twice as many held-out ones."""
+    seed = recipe.seed + JUDGE_SEED
+    worlds = WorldSource(seed=seed, crop_hw=recipe.train.crop_hw, device=device)
+    sources: list[Batches] = [WorldBatches(worlds, judge_stage(steps=JUDGED_STEPS))]
+    if recipe.train.rehearsal.retaken:
+        names = record.held_out or record.judged
+        judged = tuple(item.capture for item in prepared.pairs if item.capture.name in names)
+        area = CropArea() if record.held_out else CropArea(first=1 - recipe.train.held_out_share)
+        crop_hw = _fitting_crop(judged, area, recipe, enlargement=like.enlargement)
+        held_out = replace(like, captures=judged, area=area, crop_hw=crop_hw)
+        sources.append(StepBatches(held_out, judge_stage(steps=2 * JUDGED_STEPS, retakes=True), seed=seed))
+    return crops_judge(*sources, window=like.volume_px)
 
 
 def _fitting_crop(seen: Sequence[Capture], area: CropArea, recipe: Recipe, *, enlargement: float) -> tuple[int, int]:

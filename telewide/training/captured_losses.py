@@ -27,7 +27,7 @@ class Comparison:
     Attributes:
         ref_BCHW: (B, 3, H, W) in [0, 1].
         src_BCHW: (B, 3, H, W) in [0, 1].
-        truth_px_BHW: (B, H, W) labels or truth, NaN where unknown.
+        truth_px_BHW: (B, H, W) truth, NaN where unknown.
         disparity_px_BHW: (B, H, W) the answer.
         visible_Bhw: (B, H/4, W/4) bool, what passes the left-right check; None where nothing is left out.
         space: frozen extractor, where features are compared.
@@ -94,7 +94,7 @@ CAPTURED_LOSSES: dict[str, Callable[[Comparison], Term]] = {
     "feature": feature_metric,
     "supervised": supervised,
 }
-"""By the name in ``captured_loss``; ``labels`` is none of them, since labels teach the volume too."""
+"""By the name in ``captured_loss``."""
 
 
 def _partner_of(src_BHW: Tensor, disparity_px_BHW: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from telewide.geometry.stereo import ValidMasks
 from telewide.matching.inference import enlarged_size
 from telewide.matching.networks import StereoNetwork
 from telewide.training.objective import Batch
+from telewide.training.retaken import retaken_crop
 from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
 from telewide.training.stages import Stage
 from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crops, enlarged_crop, worlds_for
@@ -36,7 +37,7 @@ class StepBatches(Dataset[Batch]):
     """Batch i of a stage, as a function of (seed, stage, i) alone.
 
     Args:
-        source: captures, labels, sizes.
+        source: captures, disparities, sizes.
         stage: how many crops of which kind.
         seed: of the run.
         rank: this process; it makes every ``world``-th crop of the joint batch, rehearsed crops before real ones.
@@ -44,8 +45,9 @@ class StepBatches(Dataset[Batch]):
     """
 
     def __init__(self, source: SampleSource, stage: Stage, *, seed: int, rank: int = 0, world: int = 1) -> None:
-        # Where no labels are needed none may have been written.
-        self._source = source if stage.needs_labels else replace(source, labels_folder=None)
+        # Where no disparities are needed none may have been written.
+        needs_disparities = stage.needs_truth or stage.needs_surfaces
+        self._source = source if needs_disparities else replace(source, disparities_folder=None)
         if not stage.needs_undamaged:
             self._source = replace(self._source, undamaged=None)
         elif stage.options.captured and source.undamaged is None:
@@ -55,7 +57,7 @@ class StepBatches(Dataset[Batch]):
             )
         self._stage, self._seed = stage, seed
         options = stage.options
-        self._mine = range(rank, options.rehearsed + options.captured, world)
+        self._mine = range(rank, options.crops, world)
         self._worlds = worlds_for(
             (seed, stage.index),
             crop_hw=source.crop_hw,
@@ -70,24 +72,30 @@ class StepBatches(Dataset[Batch]):
 
     def __getitem__(self, step: int) -> Batch:
         options, mine = self._stage.options, self._mine
-        rehearsed = [self._rehearsed(step, crop) for crop in mine if crop < options.rehearsed]
+        rehearsed = [self._rehearsed(step, crop) for crop in mine if crop < options.exact]
         captured = [
             crop_capture(
                 self._source,
-                rng=self._generator(step, _CAPTURED, crop - options.rehearsed),
+                rng=self._generator(step, _CAPTURED, crop - options.exact),
                 may_swap=options.swaps_views,
             )
             for crop in mine
-            if crop >= options.rehearsed
+            if crop >= options.exact
         ]
         batch = replace(collate([*rehearsed, *captured], n_rehearsed=len(rehearsed)), window=self._source.volume_px)
         return batch if self._stage.needs_undamaged else replace(batch, undamaged=None)
 
     def _rehearsed(self, step: int, crop: int) -> Sample:
-        """A crop of a world painted with the user's own photos too, its source view damaged as by the wide lens."""
+        """A crop of a world painted with the user's own photos too, or of such a photo taken again.
+
+        Its source view is damaged as by the wide lens.
+        """
         rng = self._generator(step, _REHEARSED, crop)
-        source = self._source
-        crisp = self._worlds.crop(step, crop, rng=rng, window=source.volume_px, scale=1 / source.enlargement)
+        source, scale = self._source, 1 / self._source.enlargement
+        if crop < self._stage.options.rehearsed:
+            crisp = self._worlds.crop(step, crop, rng=rng, window=source.volume_px, scale=scale)
+        else:
+            crisp = retaken_crop(source, rng=rng, scale=scale)
         (damaged,) = damaged_crops([crisp], [rng], factors=source.asymmetry, equal_share=0.0)
         if source.enlargement > 1:
             crisp, damaged = (enlarged_crop(cut, hw=source.crop_hw) for cut in (crisp, damaged))

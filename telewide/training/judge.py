@@ -25,16 +25,21 @@ JUDGE_SEED = 1_000_003
 """Added to a training's seed: rehearsals that no step of it has seen."""
 
 
-def judge_stage(*, steps: int) -> Stage:
-    """A stage whose batches a judge asks."""
-    return Stage("judge", 0, StageOptions(steps=steps, rehearsed=4))
+def judge_stage(*, steps: int, retakes: bool = False) -> Stage:
+    """A stage whose batches a judge asks.
+
+    Args:
+        steps: how many, of four crops each.
+        retakes: whether the crops are photos taken again, and not cast worlds.
+    """
+    return Stage("judge", 0, StageOptions(steps=steps, rehearsed=0 if retakes else 4, retaken=4 if retakes else 0))
 
 
-def crops_judge(batches: Batches, *, window: Window) -> Judge:
+def crops_judge(*sources: Batches, window: Window) -> Judge:
     """Bind rehearsed crops, which no training sees, into a judge; every pixel counts the same, hidden ones too.
 
     Args:
-        batches: of a `judge_stage`; made when they are first asked.
+        *sources: batches of a `judge_stage` each; made when they are first asked.
         window: disparities to search where a batch names none, px.
 
     Returns:
@@ -47,7 +52,7 @@ def crops_judge(batches: Batches, *, window: Window) -> Judge:
         network.eval()
         device = next(network.parameters()).device
         if not made:
-            made.extend(batches[step] for step in range(len(batches)))
+            made.extend(batches[step] for batches in sources for step in range(len(batches)))
         errors_px = []
         for batch in (batch.to(device) for batch in made):
             searched = batch.window or window

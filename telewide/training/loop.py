@@ -136,7 +136,7 @@ class _TimeIsUpError(Exception):
 
 def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
     for stage in plan:
-        crops = stage.options.rehearsed + stage.options.captured
+        crops = stage.options.crops
         if crops < processes.world:
             raise UsageError(
                 f"stage {stage.name} has {crops} crops a step, too few for {processes.world} processes",
@@ -251,7 +251,7 @@ def take_step(state: TrainingState, batch: Batch, stage: Stage, *, training: Tra
         raise _diverged("gradient", stage, state)
     state.optimiser.step()
     if not stage.is_teaching_space:
-        _follow(state.average, state.network, decay=_warm_decay(training.options.average_decay, state.step))
+        _follow(state.average, state.network, decay=_decay(training.options, state.step))
     return parts
 
 
@@ -294,8 +294,9 @@ def learning_rate(stage: Stage, *, step: int) -> float:
     return stage.options.learning_rate * min(1.0, (step + 1) / WARM_UP_STEPS) * cooled
 
 
-def _warm_decay(decay: float, step: int) -> float:
-    return min(decay, (step + 1) / (step + 10))
+def _decay(options: TrainOptions, step: int) -> float:
+    """Of the average, which soon forgets random weights; of learned ones it keeps a share, to be on the safe side."""
+    return options.average_decay if options.start == "box" else min(options.average_decay, (step + 1) / (step + 10))
 
 
 @torch.no_grad()

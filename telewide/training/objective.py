@@ -1,7 +1,6 @@
 """Objective of one step: the losses of a stage over one batch.
 
-A batch holds rehearsed crops first, then real ones. Whatever has a truth (rendered, or a confident label) is
-supervised; the real crops are compared by the stage's loss besides.
+A batch holds rehearsed crops first, whose truth is exact and teaches, then real ones, compared by the stage's loss.
 Letters: B batch, C channels, H W crop.
 """
 
@@ -110,7 +109,7 @@ def objective(
         The scalar to differentiate (this process' share of the sum), and the parts of all processes for the log.
     """
     weighted = _supervised_terms(output, batch, stage, window)
-    if stage.options.captured and stage.options.captured_loss != "labels":
+    if stage.options.captured:
         weighted += _captured_terms(output=output, batch=batch, stage=stage, window=window, teacher=teacher)
     return add_up(weighted, global_sum=global_sum)
 
@@ -137,24 +136,19 @@ def add_up(weighted: Weighted, *, global_sum: Reduce) -> tuple[Tensor, dict[str,
 
 
 def _supervised_terms(output: NetworkOutput, batch: Batch, stage: Stage, window: Window) -> Weighted:
-    options, n = stage.options, batch.n_rehearsed
-    label_weight = options.captured_weight if options.captured_loss == "labels" else options.labels_weight
-    groups = [
-        ("rehearsal", slice(0, n), 1.0 if options.rehearsed else 0.0),
-        ("labels", slice(n, None), label_weight if options.captured else 0.0),
-    ]
-    terms: Weighted = []
-    for name, part, weight in groups:
-        # Decided by the stage and not by the batch: every process has the same terms, some of them without crops.
-        if not weight:
-            continue
-        truth_px = _within(batch.truth_px_BHW[part], window)
-        terms.append((name, weight, distribution_loss(output.logits_BDHW[part], truth_px, window=window)))
-        terms += [
-            (name, weight * factor, supervised_loss(disparity_px[part], truth_px))
+    # Decided by the stage and not by the batch: every process has the same terms, some of them without crops.
+    if not stage.options.exact:
+        return []
+    part = slice(0, batch.n_rehearsed)
+    truth_px = _within(batch.truth_px_BHW[part], window)
+    terms: Weighted = [
+        ("rehearsal", 1.0, distribution_loss(output.logits_BDHW[part], truth_px, window=window)),
+        *(
+            ("rehearsal", factor, supervised_loss(disparity_px[part], truth_px))
             for disparity_px, factor in _weighted_outputs(output)
-        ]
-    return terms + (_head_terms(output, batch, window) if options.rehearsed else [])
+        ),
+    ]
+    return terms + _head_terms(output, batch, window)
 
 
 def _head_terms(output: NetworkOutput, batch: Batch, window: Window) -> Weighted:

@@ -18,7 +18,7 @@ WEIGHTS_NAME = "weights.safetensors"
 """Of the result of a training, in the folder of the training."""
 
 
-CapturedLoss = Literal["photometric", "feature", "labels", "supervised"]
+CapturedLoss = Literal["photometric", "feature", "supervised"]
 SpaceName = Literal["own", "contrastive", "auto-encoder"]
 BatchStatistics = Literal["own", "kept"]
 Keeps = Literal["best", "last"]
@@ -43,11 +43,13 @@ class StageOptions(Options):
     """Mean and variance by which batch normalisation scales: each batch's own, or those the stage begins with, kept."""
     rehearsed: Count = 0
     """Crops a step of cast worlds, painted with the user's photos where there are any, with exact disparity."""
+    retaken: Count = 0
+    """Crops a step of the user's sharp photos and what a lens beside would see of them by their matched disparity
+    (`simulate.beside`): rehearsed too, in real scenes, with exact disparity."""
     captured: Count = 0
     """Crops a step of the real captures."""
     captured_loss: CapturedLoss = "photometric"
-    """Comparison of the real crops: by eq. 3, eq. 5, confident labels (`stages.labels`), or smooth L1 alone against the
-    labels, which are the truth where a data set has it."""
+    """Comparison of the real crops: by eq. 3, by eq. 5, or smooth L1 against the truth of a data set."""
     captured_weight: Positive = 1.0
     """Weight of the real crops' loss beside the rehearsed crops'."""
     alpha: Annotated[float, Field(ge=0)] = 3.0
@@ -64,10 +66,18 @@ class StageOptions(Options):
     """Show the network undamaged views; for data sets that are damaged on purpose (settings S2 and S4 of the paper)."""
     symmetric_loss: bool = False
     """Compare undamaged views, whatever the network is shown (settings S3 and S4)."""
-    labels_weight: Annotated[float, Field(ge=0)] = 0.0
-    """Weight of confident labels beside another loss of the real crops."""
     judge_every_steps: Annotated[int, Field(ge=1)] | None = None
     """Steps between two questions to the held-out matches; null takes what holds for all stages."""
+
+    @property
+    def exact(self) -> int:
+        """Crops a step whose disparity is exact."""
+        return self.rehearsed + self.retaken
+
+    @property
+    def crops(self) -> int:
+        """All crops of a step."""
+        return self.exact + self.captured
 
     @property
     def counts_from(self) -> int:
@@ -76,8 +86,8 @@ class StageOptions(Options):
 
     @model_validator(mode="after")
     def _has_crops(self) -> StageOptions:
-        if self.steps and not self.rehearsed + self.captured:
-            raise ValueError("a stage with steps needs crops: rehearsed or captured above 0")
+        if self.steps and not self.crops:
+            raise ValueError("a stage with steps needs crops: rehearsed, retaken or captured above 0")
         return self
 
 
@@ -136,10 +146,10 @@ class TrainOptions(Options):
         """Refuse steps that ask for more memory than machines have."""
         for name in ("rehearsal", "photometric", "space", "feature"):
             stage: StageOptions = getattr(self, name)
-            n_pixels = (stage.rehearsed + stage.captured) * self.crop_hw[0] * self.crop_hw[1]
+            n_pixels = stage.crops * self.crop_hw[0] * self.crop_hw[1]
             if stage.steps and n_pixels > MAX_STEP_PIXELS:
                 raise ValueError(
-                    f"{name}: {stage.rehearsed + stage.captured} crops of {self.crop_hw[0]} x {self.crop_hw[1]} px a "
+                    f"{name}: {stage.crops} crops of {self.crop_hw[0]} x {self.crop_hw[1]} px a "
                     f"step; together at most {MAX_STEP_PIXELS} px"
                 )
 
@@ -149,5 +159,7 @@ class TrainOptions(Options):
                 f"feature_space {self.feature_space} with space.steps {self.space.steps}: a space of its own is taught "
                 "in a stage of its own, and the network's own space needs none"
             )
-        if self.space.steps and (self.space.rehearsed or not self.space.captured):
-            raise ValueError("a feature space is taught on real crops: space.captured above 0, space.rehearsed 0")
+        if self.space.steps and (self.space.exact or not self.space.captured):
+            raise ValueError(
+                "a feature space is taught on real crops: space.captured above 0, space.rehearsed and space.retaken 0"
+            )

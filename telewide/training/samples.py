@@ -33,7 +33,7 @@ _WHOLLY = 0.999  # of a resized mask
 
 Value = TypeVar("Value", bound=np.generic)
 
-LABELS_NAME = re.compile(r"labels_-?\d+_-?\d+(_[0-9a-f]{8})?\.pfm")
+DISPARITY_NAME = re.compile(r"disparity_-?\d+_-?\d+(_[0-9a-f]{8})?\.pfm")
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,14 @@ class SampleSource:
 
     Attributes:
         captures: corrected captures to draw from.
-        labels_folder: holds each capture's confident disparities, px, named by :func:`labels_path`; None for none.
+        disparities_folder: holds each capture's disparities, px, named by :func:`disparity_path`: matched ones to take
+            its photo again by, or the truth of a data set to be taught; None for none.
         crop_hw: size of the crops.
         window_px: disparities of the captures.
         enlargement: how many times larger crops show the captures than they are, as the network will match them.
         asymmetry: range of the factor by which rehearsed views are damaged.
         area: the part of each capture that may be seen.
-        labeller: of the labels, as of :func:`labels_path`.
+        surveyor: of the disparities, as of :func:`disparity_path`.
         undamaged: by the name of a capture, the same with a source view that was not damaged; for data sets that are
             damaged on purpose.
         reader: keeps the pictures last read.
@@ -94,8 +95,8 @@ class SampleSource:
     enlargement: float = 1.0
     asymmetry: tuple[float, float] = (1.0, 6.0)
     area: CropArea = field(default_factory=CropArea)
-    labels_folder: Path | None = None
-    labeller: str = ""
+    disparities_folder: Path | None = None
+    surveyor: str = ""
     undamaged: Mapping[str, Capture] | None = None
     reader: PairReader = field(default_factory=lambda: PairReader(max_bytes=768 << 20), compare=False)
 
@@ -105,15 +106,15 @@ class SampleSource:
         return scaled_window(self.window_px, self.enlargement)
 
 
-def labels_path(folder: Path, *, window_px: Window, labeller: str = "") -> Path:
-    """Where the confident disparities of a pair lie: a search of another window, or by another matcher, finds others.
+def disparity_path(folder: Path, *, window_px: Window, surveyor: str = "") -> Path:
+    """Where the disparities of a pair lie: a search of another window, or by another matcher, finds others.
 
     Args:
         folder: of the pair.
         window_px: searched.
-        labeller: eight digits that stand for the weights that matched; none for semi-global matching.
+        surveyor: eight digits that stand for the weights that matched; none for semi-global matching, or a truth.
     """
-    return folder / f"labels_{window_px[0]}_{window_px[1]}{labeller and f'_{labeller}'}.pfm"
+    return folder / f"disparity_{window_px[0]}_{window_px[1]}{surveyor and f'_{surveyor}'}.pfm"
 
 
 def generator_for(seed: int, *salt: int) -> np.random.Generator:
@@ -136,7 +137,8 @@ class SeenPhotos(Sequence[FloatImage]):
 
     def __getitem__(self, index: int) -> FloatImage:  # type: ignore[override]
         """(H, W, 3) float32 sRGB of capture ``index``, without what is held out and without continued borders."""
-        return _texture(self.source.reader.read(self.source.captures[index]), self.source)
+        pair = self.source.reader.read(self.source.captures[index])
+        return pair.tele[seen_part(pair, self.source)]
 
 
 def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bool) -> Sample:
@@ -148,23 +150,17 @@ def crop_capture(source: SampleSource, *, rng: np.random.Generator, may_swap: bo
         may_swap: exchange the views half of the time, mirrored, so that disparities keep their sign.
 
     Returns:
-        A sample; its truth holds the confident labels where there are any.
+        A sample; its truth holds the disparities of the source where there are any.
     """
     capture = _choose(source.captures, rng)
     pair = source.reader.read(capture)
-    labels = (
-        None
-        if source.labels_folder is None
-        else _read_labels(
-            labels_path(source.labels_folder / capture.name, window_px=source.window_px, labeller=source.labeller)
-        )
-    )
+    known_px = None if source.disparities_folder is None else read_disparity(source, capture)
     box, shift_px = _random_box(pair.tele.shape[:2], source, rng)
     src_box = replace(box, x=box.x - shift_px)
     views = [_cut(pair.tele, box, source.crop_hw), _cut(pair.wide, src_box, source.crop_hw)]
     if source.undamaged is not None:
         views.append(_cut(source.reader.read(source.undamaged[capture.name]).wide, src_box, source.crop_hw))
-    truth_px = _cut_labels(labels, box, source.crop_hw, shift_px=shift_px)
+    truth_px = _cut_disparity(known_px, box, source.crop_hw, shift_px=shift_px)
     valid = pair.valid and ValidMasks(
         _cut_mask(pair.valid.ref, box, source.crop_hw), _cut_mask(pair.valid.src, src_box, source.crop_hw)
     )
@@ -213,12 +209,19 @@ def _choose(captures: Sequence[Capture], rng: np.random.Generator) -> Capture:
     return captures[int(rng.integers(len(captures)))]
 
 
-def _texture(pair: RectifiedPair, source: SampleSource) -> FloatImage:
-    """The part of the tele view that training may see, without continued borders."""
+def seen_part(pair: RectifiedPair, source: SampleSource) -> tuple[slice, slice]:
+    """Rows and columns of the tele view that training may see, without continued borders.
+
+    Args:
+        pair: a capture's.
+        source: which part of each capture is held out.
+    """
     first_x, end_x = _seen_columns(pair.tele.shape[1], source)
-    if pair.valid is None:
-        return pair.tele[:, first_x:end_x]
-    return pair.tele[:, first_x:end_x][inner_rectangle(pair.valid.ref[:, first_x:end_x])]
+    rows, columns = slice(None), slice(None)
+    if pair.valid is not None:
+        rows, columns = inner_rectangle(pair.valid.ref[:, first_x:end_x])
+    first, end, _ = columns.indices(end_x - first_x)
+    return rows, slice(first_x + first, first_x + end)
 
 
 def inner_rectangle(valid: BoolMap) -> tuple[slice, slice]:
@@ -245,8 +248,27 @@ def _seen_columns(width: int, source: SampleSource) -> tuple[int, int]:
     return round(source.area.first * width), round(source.area.end * width)
 
 
+def read_disparity(source: SampleSource, capture: Capture) -> FloatMap:
+    """Read the disparities of a capture.
+
+    Args:
+        source: which knows where they lie.
+        capture: one of its captures.
+
+    Returns:
+        (H, W) px; NaN where unknown.
+
+    Raises:
+        ValueError: the source has none.
+    """
+    if source.disparities_folder is None:
+        raise ValueError("the source of the samples has no disparities")
+    folder = source.disparities_folder / capture.name
+    return _read_map(disparity_path(folder, window_px=source.window_px, surveyor=source.surveyor))
+
+
 @lru_cache(maxsize=16)
-def _read_labels(path: Path) -> FloatMap:
+def _read_map(path: Path) -> FloatMap:
     return read_pfm(path)
 
 
@@ -294,10 +316,10 @@ def _cut_mask(valid: BoolMap, box: _Box, crop_hw: tuple[int, int]) -> BoolMap:
     return np.asarray(cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=interpolation) > _WHOLLY)
 
 
-def _cut_labels(labels: FloatMap | None, box: _Box, crop_hw: tuple[int, int], *, shift_px: int) -> FloatMap:
-    if labels is None:
+def _cut_disparity(known_px: FloatMap | None, box: _Box, crop_hw: tuple[int, int], *, shift_px: int) -> FloatMap:
+    if known_px is None:
         return np.full(crop_hw, np.nan, dtype=np.float32)
-    part = labels[box.y : box.y + box.height, box.x : box.x + box.width]
+    part = known_px[box.y : box.y + box.height, box.x : box.x + box.width]
     resized = cv2.resize(part, (crop_hw[1], crop_hw[0]), interpolation=cv2.INTER_NEAREST_EXACT)
     return ((resized - shift_px) * np.float32(crop_hw[1] / box.width)).astype(np.float32)
 

@@ -37,11 +37,14 @@ class Stage:
         return not self.is_teaching_space and self.options.captured > 0 and self.options.captured_loss == "feature"
 
     @property
-    def needs_labels(self) -> bool:
-        """Whether confident labels of the captures take part."""
-        options = self.options
-        has_labels = options.captured_loss in {"labels", "supervised"} or options.labels_weight > 0
-        return options.captured > 0 and has_labels and not self.is_teaching_space
+    def needs_truth(self) -> bool:
+        """Whether the truth of a data set takes part."""
+        return self.options.captured > 0 and self.options.captured_loss == "supervised" and not self.is_teaching_space
+
+    @property
+    def needs_surfaces(self) -> bool:
+        """Whether the captures' disparities take part, by which their photos are taken again."""
+        return self.options.retaken > 0
 
     @property
     def needs_undamaged(self) -> bool:

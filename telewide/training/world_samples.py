@@ -110,7 +110,7 @@ class Worlds:
         scaled_window = (math.floor(scale * window[0]), math.ceil(scale * window[1]))
         # Not all crops take a new world in the same step.
         turn = (step + k * STEPS_A_WORLD // self.crops) // STEPS_A_WORLD + int(rng.integers(KEPT_WORLDS))
-        return _recoloured(_cut(self._cast_once(turn * self.crops + k), rng, hw, scaled_window), rng)
+        return recoloured(_cut(self._cast_once(turn * self.crops + k), rng, hw, scaled_window), rng)
 
     def _cast_once(self, number: int) -> WorldCrop:
         if number not in self._kept:
@@ -342,7 +342,7 @@ def _mild_damage(rng: np.random.Generator) -> Damage:
     return Damage(blur_sigma_px=(sigma, sigma), noise_std=rng.uniform(0, 0.012) * (rng.random() < 0.6))
 
 
-def _recoloured(crop: WorldCrop, rng: np.random.Generator) -> WorldCrop:
+def recoloured(crop: WorldCrop, rng: np.random.Generator) -> WorldCrop:
     """Exchange channels, change exposure and turn upside down, alike in both views; grey now and then."""
     order = rng.permutation(3).tolist()
     gamma, gain = math.exp(rng.normal(0, 0.25)), math.exp(rng.normal(0, 0.2))

@@ -41,7 +41,7 @@ EXPECTED = {
     "method-iresnet": ("iresnet-s", None, 4, "photometric", (False, False), "own"),
     "psmnet": ("psmnet", None, 1, "photometric", (False, False), "own"),
     "iresnet": ("iresnet", None, 1, "photometric", (False, False), "own"),
-    "ours-trained": ("guided", None, 2, "labels", (False, False), "own"),
+    "ours-trained": ("guided", None, 1, "photometric", (False, False), "own"),
     "s1-space": ("psmnet-s", None, 1, "photometric", (False, False), "own"),
     "cl-space": ("psmnet-s", None, 3, "photometric", (False, False), "contrastive"),
     "ae-space": ("psmnet-s", None, 3, "photometric", (False, False), "auto-encoder"),

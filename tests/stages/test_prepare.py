@@ -27,13 +27,13 @@ from telewide.errors import InputError, QualityError
 from telewide.files import fingerprint
 from telewide.recipe import load_recipe
 from telewide.simulate.captures import write_captures
-from telewide.stages.labels import labeller_of, write_labels
 from telewide.stages.pairs import PreparedPair, PreparedSet
 from telewide.stages.prepare import prepare_captures
 from telewide.stages.rig import locate_rig, lying_rig, refuse_without_rig, where_rig_lies
 from telewide.stages.run_folder import RunFolder
+from telewide.stages.surfaces import surveyor_of, write_surfaces
 from telewide.training.options import TrainOptions
-from telewide.training.samples import labels_path
+from telewide.training.samples import disparity_path
 
 
 @pytest.fixture(scope="module")
@@ -193,42 +193,41 @@ def test_kept_files_that_are_corrupt_are_made_again(captures: Path, tmp_path: Pa
         assert path.read_bytes() == whole
 
 
-def test_labels_that_were_cut_off_are_written_again(captures: Path, tmp_path: Path) -> None:
+def test_surfaces_that_were_cut_off_are_written_again(captures: Path, tmp_path: Path) -> None:
     pairs = prepared(captures, tmp_path / "run")
-    path = labels_path(pairs.pairs[0].capture.tele_path.parent, window_px=(0, 32))
+    path = disparity_path(pairs.pairs[0].capture.tele_path.parent, window_px=(0, 32))
     names = [pairs.pairs[0].capture.name]
-    write_labels(pairs, names=names, window=(0, 32))
+    write_surfaces(pairs, names=names, window=(0, 32))
     whole = path.read_bytes()
     path.write_bytes(whole[:-100])
-    write_labels(pairs, names=names, window=(0, 32))
+    write_surfaces(pairs, names=names, window=(0, 32))
     assert path.read_bytes() == whole
 
 
-def test_labels_of_another_window_are_not_taken(captures: Path, tmp_path: Path) -> None:
+def test_surfaces_of_another_window_are_not_taken(captures: Path, tmp_path: Path) -> None:
     pairs = prepared(captures, tmp_path / "run")
     folder = pairs.pairs[0].capture.tele_path.parent
     for end_px in (8, 32):
-        write_labels(pairs, names=[pairs.pairs[0].capture.name], window=(0, end_px))
-    narrow_px, wide_px = (read_pfm(labels_path(folder, window_px=(0, end_px))) for end_px in (8, 32))
+        write_surfaces(pairs, names=[pairs.pairs[0].capture.name], window=(0, end_px))
+    narrow_px, wide_px = (read_pfm(disparity_path(folder, window_px=(0, end_px))) for end_px in (8, 32))
     assert np.nanmax(narrow_px) <= 8
     assert np.nanmax(wide_px) > 10
 
 
-def test_a_training_from_the_box_is_labelled_by_it(captures: Path, tmp_path: Path) -> None:
-    """Its labels lie beside those of semi-global matching, and most of the picture has one that is right."""
+def test_a_training_from_the_box_is_surveyed_by_it(captures: Path, tmp_path: Path) -> None:
+    """Its surfaces lie beside those of semi-global matching, known everywhere and right in most of the picture."""
     pairs = prepared(captures, tmp_path / "run")
-    item, labeller = pairs.pairs[0], labeller_of(TrainOptions(start="box"))
+    item, surveyor = pairs.pairs[0], surveyor_of(TrainOptions(start="box"))
     by_box, by_sgm = (
-        labels_path(item.capture.tele_path.parent, window_px=(0, 32), labeller=name) for name in (labeller, "")
+        disparity_path(item.capture.tele_path.parent, window_px=(0, 32), surveyor=name) for name in (surveyor, "")
     )
-    write_labels(pairs, names=[item.capture.name], window=(0, 32), labeller=labeller)
+    write_surfaces(pairs, names=[item.capture.name], window=(0, 32), surveyor=surveyor)
     assert by_box.is_file()
     assert not by_sgm.exists()
-    truth_px, labels_px = read_pfm(captures / item.capture.name / "truth.pfm"), read_pfm(by_box)
-    known = np.isfinite(labels_px) & np.isfinite(truth_px)
-    assert known.mean() > 0.5
-    assert np.mean(np.abs(labels_px - truth_px)[known] < 1) > 0.85
-    assert labeller_of(TrainOptions(start="scratch")) == ""
+    truth_px, surface_px = read_pfm(captures / item.capture.name / "truth.pfm"), read_pfm(by_box)
+    assert np.isfinite(surface_px).all()
+    assert np.mean(np.abs(surface_px - truth_px)[np.isfinite(truth_px)] < 1) > 0.75
+    assert surveyor_of(TrainOptions(start="scratch")) == ""
 
 
 def test_pairs_whose_rows_disagree_are_refused_by_what_was_measured(captures: Path, tmp_path: Path) -> None:
@@ -406,13 +405,13 @@ def test_a_raw_photo_whose_tags_state_another_size_than_it_has_is_kept(captures:
     assert path.stat().st_mtime_ns == before
 
 
-def test_labels_that_cannot_be_read_are_made_again(captures: Path, tmp_path: Path) -> None:
+def test_surfaces_that_cannot_be_read_are_made_again(captures: Path, tmp_path: Path) -> None:
     pairs = prepared(captures, tmp_path / "run")
     name, folder = pairs.pairs[0].capture.name, pairs.pairs[0].capture.tele_path.parent
-    write_labels(pairs, names=[name], window=(0, 32))
-    path = labels_path(folder, window_px=(0, 32))
+    write_surfaces(pairs, names=[name], window=(0, 32))
+    path = disparity_path(folder, window_px=(0, 32))
     whole = path.read_bytes()
     for corrupt in (b"garbage", whole[:-4], b"Pf\n1 1\n-1\n\0\0\0\0"):
         path.write_bytes(corrupt)
-        write_labels(pairs, names=[name], window=(0, 32))
+        write_surfaces(pairs, names=[name], window=(0, 32))
         assert path.read_bytes() == whole

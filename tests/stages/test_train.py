@@ -52,7 +52,7 @@ RECIPE: Mapping[str, object] = {
         "crop_hw": [64, 96],
         "stages": 1,
         "judge_every_steps": 4,
-        "rehearsal": {"steps": 4, "rehearsed": 1, "captured": 1, "captured_loss": "labels"},
+        "rehearsal": {"steps": 4, "rehearsed": 1, "retaken": 1},
         "photometric": {"steps": 4, "captured": 1, "swaps_views": True},
         "feature": {"steps": 2, "captured": 1, "captured_loss": "feature"},
     },
@@ -75,7 +75,7 @@ class Observer(Heard):
     def pair_prepared(self, name: str) -> None: ...
     def set_prepared(self, prepared: object) -> None: ...
     def searching(self, window: object) -> None: ...
-    def labelling(self, total: int) -> object:
+    def surveying(self, total: int) -> object:
         return lambda: None
 
     def matching(self, total: int, *, method: str) -> None: ...
@@ -140,11 +140,11 @@ def assert_same_weights(run: Path, other: Path) -> None:
         assert all(torch.equal(weights[key], expected[key]) for key in expected), name
 
 
-def test_training_without_labels_writes_and_needs_none(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
+def test_training_on_captures_as_they_are_needs_no_surfaces(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     """As the paper's recipe does: photometric and feature-metric stages alone."""
     run = tmp_path / "run"
     run_training(captures, run, tiny("train.rehearsal.steps=0", path=recipe_path))
-    assert not list(run.rglob("labels_*"))
+    assert not list(run.rglob("disparity_*.pfm"))
 
 
 def test_training_leaves_weights_record_log_and_sheets(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
@@ -276,7 +276,7 @@ def test_a_finished_training_says_so(
 def test_a_stage_says_at_its_end_what_is_kept_of_it(
     judged_px: dict[int, float], result_px: float, told: str, tmp_path: Path
 ) -> None:
-    heard, stages = Observer(), plan_stages(load_recipe("quick").train)
+    heard, stages = Observer(), plan_stages(load_recipe("paper").train)
     stage = stages[0]
     reporter = LoggedReporter(heard, RunFolder(tmp_path), rows=lambda network: [], is_writer=True)
     for step, off_px in judged_px.items():

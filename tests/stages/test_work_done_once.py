@@ -55,7 +55,7 @@ def test_a_call_works_on_each_photo_once(captures: Path, tmp_path: Path, monkeyp
     asked = counted(monkeypatch, telewide.capture.exif, "_tags_of_photo", lambda path, *_: path)
     hashed = counted(monkeypatch, hashlib, "file_digest", lambda stream, *_: Path(stream.name))
     searched = counted(monkeypatch, telewide.points.matches, "sift_features", lambda image: image.tobytes())
-    few = ("train.rehearsal.steps=1", "train.rehearsal.least_steps=1", "train.feature.steps=1")
+    few = ("train.rehearsal.steps=1", "train.rehearsal.least_steps=1")
     recipe = load_recipe("quick", settings=few)
     options = DepthOptions(method="sgm", bokeh=BokehOptions(strength_px=3.0), device="cpu")
     done = run_captures(captures, run=tmp_path / "run", recipe=recipe, options=options, observer=Silent())

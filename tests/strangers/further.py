@@ -124,10 +124,10 @@ def filled_with_much(tensor: torch.Tensor) -> torch.Tensor:
     return torch.full_like(tensor, 1e38) if tensor.is_floating_point() else tensor
 
 
-def labels(content: bytes) -> Plant:
+def surfaces(content: bytes) -> Plant:
     def plant(root: Path) -> None:
         for folder in (root / "run/pairs").iterdir():
-            for path in folder.glob("labels_*"):
+            for path in folder.glob("disparity_*"):
                 path.write_bytes(content)
 
     return plant
@@ -324,7 +324,9 @@ TRIED = (
         "its marks were made on a photo of",
     ),
     Tried(
-        "labels that are garbage, run", one(labels(b"Pf\n128 96\n-1.0\n" + np.full(HW, 1e30, "<f4").tobytes()), RUN), 0
+        "surfaces that are garbage, run",
+        one(surfaces(b"Pf\n128 96\n-1.0\n" + np.full(HW, 1e30, "<f4").tobytes()), RUN),
+        0,
     ),
     Tried(
         "depth.json whose source is a device, no name, or a name of 5000 letters",

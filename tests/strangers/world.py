@@ -20,12 +20,12 @@ from telewide.simulate.captures import write_captures
 HW = (96, 128)
 TINY = (
     "--quiet --recipe quick --set train.rehearsal.steps=10 --set train.crop_hw=[64,64] --set train.photometric.steps=0 "
-    "--set train.stages=0 --set train.rehearsal.rehearsed=1 --set train.rehearsal.captured=0"
+    "--set train.rehearsal.rehearsed=1 --set train.rehearsal.retaken=0"
 )
 DEPTH = "depth captures --method sgm"
 TRAIN = f"train captures --out run {TINY}"
 NAMES_WRITTEN = (
-    *("tele.png", "wide.png", "tele.jpg", "pair.json", "shot.json", "matches.npz", "labels_0_32.pfm", "run.json"),
+    *("tele.png", "wide.png", "tele.jpg", "pair.json", "shot.json", "matches.npz", "disparity_0_32.pfm", "run.json"),
     *("state.pt", "weights.safetensors", "training.json", "log.jsonl", "rehearsal.png", "rehearsal.safetensors"),
     *("disparity.pfm", "disparity.png", "depth.npz", "depth.json", "preview.png", "bokeh.jpg", "report.html"),
     *("rig.yaml", "telewide.onnx", "board.pdf"),

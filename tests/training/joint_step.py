@@ -28,8 +28,8 @@ from telewide.training.processes import Processes, joined_processes
 from telewide.training.samples import SampleSource
 
 STAGES = {
-    "as the default recipe": stage_of(steps=1, rehearsed=2, captured=1, captured_loss="labels"),
-    "one kind each": stage_of(steps=1, rehearsed=1, captured=1, captured_loss="feature", labels_weight=0.2),
+    "as the default recipe": stage_of(steps=1, rehearsed=1, retaken=2),
+    "one kind each": stage_of(steps=1, rehearsed=1, retaken=1, captured=1, captured_loss="feature"),
     "uneven": stage_of(steps=1, captured=3, captured_loss="photometric", swaps_views=True),
 }
 PRECISE = "psmnet-s in float64"
@@ -113,7 +113,7 @@ def main(out: Path, pairs: Path) -> None:
     torch.set_num_threads(1)
     folders = sorted(path for path in pairs.iterdir() if path.is_dir())
     captures = tuple(Capture(path.name, path / "tele.png", path / "wide.png") for path in folders)
-    source = source_of(captures, labels=pairs)
+    source = source_of(captures, disparities=pairs)
     with joined_processes("cpu") as processes:
         for name in ("lite", PRECISE):
             torch.save(joint_gradients(source, processes, name=name), out / f"{name}{processes.rank}.pt")

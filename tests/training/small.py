@@ -49,10 +49,12 @@ def write_pairs(folder: Path, *, count: int = 2, hw: tuple[int, int] = (96, 144)
     return tuple(captures)
 
 
-def source_of(captures: Sequence[Capture], *, area: CropArea | None = None, labels: Path | None = None) -> SampleSource:
+def source_of(
+    captures: Sequence[Capture], *, area: CropArea | None = None, disparities: Path | None = None
+) -> SampleSource:
     """Small crops of some captures."""
     return SampleSource(
-        tuple(captures), crop_hw=CROP_HW, window_px=WINDOW, area=area or CropArea(), labels_folder=labels
+        tuple(captures), crop_hw=CROP_HW, window_px=WINDOW, area=area or CropArea(), disparities_folder=disparities
     )
 
 
@@ -105,7 +107,7 @@ class Heard:
 
 def three_stages(**options: object) -> TrainOptions:
     """Rehearsal, photometric and feature-metric stages of four steps each."""
-    rehearsal = {"steps": 4, "rehearsed": 1, "captured": 1, "captured_loss": "labels"}
+    rehearsal = {"steps": 4, "rehearsed": 2}
     photometric = {"steps": 4, "captured": 1, "captured_loss": "photometric", "swaps_views": True}
     feature = {"steps": 4, "captured": 1, "captured_loss": "feature"}
     content: dict[str, object] = {

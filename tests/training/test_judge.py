@@ -39,6 +39,24 @@ def test_every_pixel_of_a_rehearsal_counts(error_px: float, clipped_px: float) -
     assert judgement["matches"] > 0.5 * 4 * 64 * 96
 
 
+def test_all_sources_of_crops_are_asked_and_every_pixel_counts_the_same() -> None:
+    """Exact on the first, 2 px off on the second, whose crops have twice as many pixels."""
+    small, large = (WorldBatches(WorldSource(seed=3, crop_hw=hw), judge_stage(steps=1)) for hw in ((64, 96), (64, 192)))
+    answers = {96: small[0].truth_px_BHW, 192: large[0].truth_px_BHW + 2}
+
+    class Both(StereoNetwork):
+        def forward(self, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> NetworkOutput:
+            return NetworkOutput([answers[ref_BCHW.shape[-1]]], torch.zeros(1, 1, 1, 1), None)
+
+    judgement = crops_judge(small, large, window=(0, 96))(Both(nn.Conv2d(3, 1, 1), nn.Identity()).to(CPU))
+    counts = []
+    for batches in (small, large):
+        batch = batches[0]
+        low_px, end_px = batch.window or (0, 96)
+        counts.append(int(((batch.truth_px_BHW >= low_px) & (batch.truth_px_BHW < end_px)).sum()))
+    assert judgement["clipped_px"] == pytest.approx(2 * counts[1] / sum(counts), abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("matches_px", "rehearsed_px", "decisive_px"), [(0.5, 0.3, 0.3), (math.nan, 0.3, 0.3), (0.5, math.nan, 0.5)]
 )

@@ -559,6 +559,21 @@ def test_the_average_follows_the_weights(tmp_path: Path, source: SampleSource) -
         torch.testing.assert_close(state.average.state_dict()[name], expected)
 
 
+@pytest.mark.parametrize(("start", "kept"), [("box", 0.9), ("scratch", 1 / 10)])
+def test_learned_weights_keep_their_share_of_the_average_and_random_ones_do_not(
+    tmp_path: Path, source: SampleSource, start: str, kept: float
+) -> None:
+    """The first step: the decay as stated, or the warm-up's (step + 1) / (step + 10)."""
+    state = fresh()
+    before = {name: tensor.clone() for name, tensor in state.network.named_parameters()}
+    training = training_in(tmp_path, source, options=three_stages(average_decay=0.9, start=start))
+    stage = stage_of(steps=30, rehearsed=1)
+    take_step(state, StepBatches(source, stage, seed=0)[0], stage, training=training)
+    now = dict(state.network.named_parameters())
+    for name, average in state.average.named_parameters():
+        torch.testing.assert_close(average, torch.lerp(now[name], before[name], kept))
+
+
 def test_a_network_added_by_name_trains(tmp_path: Path, source: SampleSource, monkeypatch: pytest.MonkeyPatch) -> None:
     """One line in NETWORKS is all a new network needs."""
     monkeypatch.setitem(NETWORKS, "twin", NETWORKS["lite"])

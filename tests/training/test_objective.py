@@ -17,10 +17,10 @@ from telewide.training.options import StageOptions
 from telewide.training.stages import Stage
 
 
-def a_batch(n_rehearsed: int, n_captured: int, *, has_labels: bool = False) -> Batch:
+def a_batch(n_rehearsed: int, n_captured: int, *, has_truth: bool = False) -> Batch:
     pairs = [rendered(seed, hw=(64, 96)) for seed in range(n_rehearsed + n_captured)]
     truth = torch.stack([torch.from_numpy(pair.disparity_px) for pair in pairs])
-    if not has_labels:
+    if not has_truth:
         truth[n_rehearsed:] = torch.nan
     ref, src = (torch.cat([tensor_of(getattr(pair, view)) for pair in pairs]) for view in ("ref", "src"))
     return Batch(ref, src, truth, n_rehearsed)
@@ -38,19 +38,20 @@ def output_of(batch: Batch) -> NetworkOutput:
 
 
 STAGES = {
-    "labels": stage_of(steps=1, rehearsed=2, captured=2, captured_loss="labels"),
+    "exact crops of both kinds": stage_of(steps=1, rehearsed=1, retaken=1, captured=2, captured_loss="photometric"),
+    "supervised": stage_of(steps=1, rehearsed=2, captured=2, captured_loss="supervised"),
     "photometric": stage_of(steps=1, rehearsed=2, captured=2, captured_loss="photometric"),
     "photometric without masks": stage_of(
         steps=1, rehearsed=2, captured=2, captured_loss="photometric", occlusion_masks=False
     ),
-    "feature": stage_of(steps=1, rehearsed=2, captured=2, captured_loss="feature", labels_weight=0.3),
+    "feature": stage_of(steps=1, rehearsed=2, captured=2, captured_loss="feature"),
 }
 
 
 @pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 def test_shares_of_processes_add_up_to_the_joint_loss(stage: Stage) -> None:
     """Counts are of the joint batch: whoever has which crops, none of a kind included, sums and gradients agree."""
-    batch = a_batch(2, 2, has_labels=True)
+    batch = a_batch(2, 2, has_truth=True)
     teacher = frozen_extractor(build_network("lite", seed=2)) if stage.needs_teacher else None
     counts: list[torch.Tensor] = []
 
@@ -80,7 +81,7 @@ def test_every_process_adds_up_the_same_terms() -> None:
     """One with no real crop, or with no rehearsed one, must not fall out of step with the others."""
     for stage in STAGES.values():
         teacher = frozen_extractor(build_network("lite")) if stage.needs_teacher else None
-        batch = a_batch(2, 2, has_labels=True)
+        batch = a_batch(2, 2, has_truth=True)
         sizes = set()
         for crops in ([0, 1], [2, 3], [0, 2]):
             part = part_of(batch, crops)
@@ -145,7 +146,7 @@ def test_the_extractor_of_the_stage_before_stays_as_it_is() -> None:
         objective(output, batch, stage, window=WINDOW, teacher=None, global_sum=lambda x: x)
 
 
-def test_labels_outside_the_window_are_no_lesson() -> None:
+def test_a_truth_outside_the_window_is_no_lesson() -> None:
     batch = a_batch(1, 0)
     far = Batch(batch.ref_BCHW, batch.src_BCHW, batch.truth_px_BHW + 1000, 1)
     stage = stage_of(steps=1, rehearsed=1)

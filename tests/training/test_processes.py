@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from training.joint_step import PRECISE, joint_gradients, precise_psmnet, short_training, stopped_training
@@ -21,7 +20,7 @@ from telewide.simulate.captures import write_captures
 from telewide.training.checkpoint import new_state
 from telewide.training.log import read_log
 from telewide.training.processes import Processes, joined_processes
-from telewide.training.samples import SampleSource, labels_path
+from telewide.training.samples import SampleSource, disparity_path
 
 pytestmark = pytest.mark.slow
 
@@ -39,30 +38,28 @@ def _precise_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Corrected pairs with labels: the truth, with holes."""
-    folder = tmp_path_factory.mktemp("labelled")
+def surveyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Corrected pairs with their disparities."""
+    folder = tmp_path_factory.mktemp("surveyed")
     for seed, capture in enumerate(write_pairs(folder)):
-        truth_px = rendered(seed).disparity_px.copy()
-        truth_px[::3] = np.nan
-        write_pfm(labels_path(folder / capture.name, window_px=WINDOW), truth_px)
+        write_pfm(disparity_path(folder / capture.name, window_px=WINDOW), rendered(seed).disparity_px)
     return folder
 
 
 @pytest.fixture(scope="module")
-def joint(tmp_path_factory: pytest.TempPathFactory, repo: Path, labelled: Path) -> Path:
+def joint(tmp_path_factory: pytest.TempPathFactory, repo: Path, surveyed: Path) -> Path:
     """What two processes found in a joint step and in short trainings."""
     out = tmp_path_factory.mktemp("joint")
     script = repo / "tests" / "training" / "joint_step.py"
-    done = torchrun(str(script), str(out), str(labelled), cwd=out, repo=repo)
+    done = torchrun(str(script), str(out), str(surveyed), cwd=out, repo=repo)
     assert done.returncode == 0, done.stderr[-3000:]
     return out
 
 
 @pytest.fixture
-def source(tmp_path: Path, labelled: Path) -> SampleSource:
+def source(tmp_path: Path, surveyed: Path) -> SampleSource:
     """The pairs of the two processes, for one."""
-    return source_of(write_pairs(tmp_path / "again"), labels=labelled)
+    return source_of(write_pairs(tmp_path / "again"), disparities=surveyed)
 
 
 @pytest.mark.parametrize("name", ["lite", PRECISE])
@@ -165,7 +162,7 @@ def test_a_capture_that_fails_in_the_other_process_is_answered_for(tmp_path: Pat
 
 def test_the_report_of_several_processes_shows_all_captures(tmp_path: Path, repo: Path) -> None:
     write_captures(tmp_path / "captures", count=3, seed=1, hw=(96, 144), factor=2)
-    settings = ("train.rehearsal.steps=2", "train.feature.steps=1", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
+    settings = ("train.rehearsal.steps=2", "train.crop_hw=[64, 96]", "window_px=[-8, 32]")
     words = tuple(word for setting in settings for word in ("--set", setting))
     done = torchrun(
         *("-m", "telewide", "run", "captures", "--recipe", "quick", "--device", "cpu", "--json", *words),
@@ -227,7 +224,8 @@ def test_all_processes_match_with_the_weights_the_writer_wrote_last(tmp_path: Pa
     """However long it takes to write them, and be they the first."""
     write_captures(tmp_path / "captures", count=2, seed=1, hw=(96, 144), factor=2)
     (tmp_path / "script.py").write_text(SLOW_WRITER)
-    settings = (f"train.stages={stages}", "train.rehearsal.steps=1", "train.feature.steps=1", "window_px=[-8, 32]")
+    feature = "train.feature={steps: 1, captured: 1, captured_loss: feature}"
+    settings = (f"train.stages={stages}", "train.rehearsal.steps=1", feature, "window_px=[-8, 32]")
     words = tuple(word for setting in (*settings, "train.crop_hw=[64, 96]") for word in ("--set", setting))
     asked = ("run", "captures", "--recipe", "quick", "--device", "cpu", "--quiet", *words)
     done = torchrun(str(tmp_path / "script.py"), *asked, cwd=tmp_path, repo=repo)

@@ -26,9 +26,9 @@ from telewide.training.samples import (
     Sample,
     SampleSource,
     crop_capture,
+    disparity_path,
     fitting_crop,
     generator_for,
-    labels_path,
 )
 
 AS_SHIPPED = {name: getattr(world_samples, name) for name in ("PALETTE_SIZE", "KEPT_WORLDS")}
@@ -266,7 +266,7 @@ def test_crops_reach_every_part_that_may_be_seen(tmp_path: Path) -> None:
     assert 0.68 < max(end for _, end in ends) < 0.95  # 0.75, brightened by up to a quarter
 
 
-# Views and labels
+# Views and disparities
 
 
 def test_exchanged_views_keep_the_sign_of_the_disparity(tmp_path: Path) -> None:
@@ -349,13 +349,13 @@ def test_exchanged_views_of_a_rendered_pair_follow_the_truth_of_src(tmp_path: Pa
     assert right < 0.5 * warp_error(mirrored, filled + 4, seen)
 
 
-def test_labels_are_cut_and_scaled_with_the_crop(tmp_path: Path, captures: tuple[Capture, ...]) -> None:
-    """Labels that state each pixel's own column: in a crop they differ by the zoom from pixel to pixel."""
+def test_disparities_are_cut_and_scaled_with_the_crop(tmp_path: Path, captures: tuple[Capture, ...]) -> None:
+    """Disparities that state each pixel's own column: in a crop they differ by the zoom from pixel to pixel."""
     for capture in captures:
         columns = np.broadcast_to(np.arange(144, dtype=np.float32), (96, 144)).copy()
         columns[:10] = np.nan
-        write_pfm(labels_path(tmp_path / capture.name, window_px=source_of(captures).window_px), columns)
-    source = source_of(captures, labels=tmp_path)
+        write_pfm(disparity_path(tmp_path / capture.name, window_px=source_of(captures).window_px), columns)
+    source = source_of(captures, disparities=tmp_path)
     for index in range(8):
         truth = crop_capture(source, rng=generator_for(0, index), may_swap=False).truth_px
         row = truth[-1]
@@ -363,7 +363,7 @@ def test_labels_are_cut_and_scaled_with_the_crop(tmp_path: Path, captures: tuple
         # From one end to the other the photo's columns, times the enlargement, are the crop's columns.
         assert (row[-1] - row[0]) / (CROP_HW[1] - 1) == pytest.approx(1.0, abs=0.03)
     swapped = [crop_capture(source, rng=generator_for(0, i), may_swap=True).truth_px for i in range(20)]
-    assert any(np.isnan(truth).all() for truth in swapped), "labels are of ref: none after an exchange"
+    assert any(np.isnan(truth).all() for truth in swapped), "disparities are of ref: none after an exchange"
 
 
 def test_pictures_smaller_than_a_crop_are_enlarged(tmp_path: Path) -> None:
@@ -382,7 +382,7 @@ def test_pictures_smaller_than_a_crop_are_enlarged(tmp_path: Path) -> None:
 def test_zoomed_crops_stay_in_a_window_far_from_zero(
     tmp_path: Path, disparity_px: tuple[int, int], window: tuple[int, int], enlargement: float
 ) -> None:
-    """A slanted wall: labels of every crop lie in the window, and tell where src shows what ref shows."""
+    """A slanted wall: disparities of every crop lie in the window, and tell where src shows what ref shows."""
     rng = np.random.default_rng(0)
     hw = (96, 400)
     slant_px = np.broadcast_to(np.linspace(*disparity_px, hw[1], dtype=np.float32), hw).copy()
@@ -393,9 +393,9 @@ def test_zoomed_crops_stay_in_a_window_far_from_zero(
     capture = Capture("wall", tmp_path / "tele.png", tmp_path / "wide.png")
     write_image(capture.tele_path, ref)
     write_image(capture.wide_path, src)
-    write_pfm(labels_path(tmp_path / "wall", window_px=window), slant_px)
+    write_pfm(disparity_path(tmp_path / "wall", window_px=window), slant_px)
     source = SampleSource(
-        (capture,), crop_hw=CROP_HW, window_px=window, enlargement=enlargement, labels_folder=tmp_path
+        (capture,), crop_hw=CROP_HW, window_px=window, enlargement=enlargement, disparities_folder=tmp_path
     )
     for index in range(40):
         sample = crop_capture(source, rng=generator_for(0, index), may_swap=False)

@@ -28,7 +28,7 @@ from telewide.training.loop import take_step, train
 from telewide.training.losses import Term
 from telewide.training.objective import Batch, objective
 from telewide.training.options import CapturedLoss, SpaceName, TrainOptions
-from telewide.training.samples import SampleSource, labels_path
+from telewide.training.samples import SampleSource, disparity_path
 from telewide.training.spaces import SPACES
 from telewide.training.stages import plan_stages
 
@@ -124,19 +124,19 @@ def test_supervision_is_smooth_l1_alone(tmp_path: Path) -> None:
     assert set(parts) == {"supervised", "smoothness"}
 
 
-def test_supervised_stages_read_the_labels(captures: tuple[Capture, ...], tmp_path: Path) -> None:
+def test_supervised_stages_read_the_truth(captures: tuple[Capture, ...], tmp_path: Path) -> None:
     for capture in captures:
-        path = labels_path(tmp_path / capture.name, window_px=WINDOW)
+        path = disparity_path(tmp_path / capture.name, window_px=WINDOW)
         path.parent.mkdir()
         write_pfm(path, np.full((96, 144), 9.0, np.float32))
-    source = source_of(captures, labels=tmp_path)
+    source = source_of(captures, disparities=tmp_path)
     stage = stage_of(steps=1, captured=2, captured_loss="supervised")
-    assert stage.needs_labels
+    assert stage.needs_truth
     assert StepBatches(source, stage, seed=0)[0].truth_px_BHW.isfinite().all()
 
 
 def test_every_loss_and_space_of_a_recipe_is_in_its_table() -> None:
-    assert {*CAPTURED_LOSSES, "labels"} == set(get_args(CapturedLoss))
+    assert set(CAPTURED_LOSSES) == set(get_args(CapturedLoss))
     assert {*SPACES, "own"} == set(get_args(SpaceName))
 
 

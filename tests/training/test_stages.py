@@ -10,33 +10,32 @@ from telewide.recipe import DEFAULT_RECIPE, load_recipe
 from telewide.training.options import StageOptions, TrainOptions
 from telewide.training.stages import Stage, ending_with, plan_stages
 
-# stage: steps, learning rate, rehearsed and real crops, loss of the real ones and its weight, alpha, lambda, masks,
-# exchange, weight of labels beside
-Line = tuple[int, float, int, int, str, float, float, float, bool, bool, float]
-LABELLED = ("labels", 1.0, 3.0, 0.1, True, False, 0.0)
-BESIDE_LABELS = (2, 1, "feature", 0.5, 1.0, 0.02, True, False, 1.0)
-AS_PUBLISHED = (0, 2, "feature", 1.0, 3.0, 0.5, False, True, 0.0)
+# stage: steps, learning rate, rehearsed, retaken and real crops, loss of the real ones and its weight, alpha, lambda,
+# masks, exchange
+Line = tuple[int, float, int, int, int, str, float, float, float, bool, bool]
+NO_REAL_CROPS = (0, "photometric", 1.0, 3.0, 0.1, True, False)
+AS_PUBLISHED = (0, 0, 2, "feature", 1.0, 3.0, 0.5, False, True)
 RECIPES: dict[str, tuple[str, float, dict[str, Line]]] = {
     "default": (
         "guided",
-        0.995,
-        {"rehearsal": (400, 1e-4, 3, 1, *LABELLED), "feature-1": (100, 3e-5, *BESIDE_LABELS)},
+        0.9985,
+        {"rehearsal": (600, 2e-4, 1, 3, *NO_REAL_CROPS)},
     ),
     "quick": (
         "guided",
         0.995,
-        {"rehearsal": (80, 1e-4, 2, 1, *LABELLED), "feature-1": (40, 3e-5, *BESIDE_LABELS)},
+        {"rehearsal": (150, 2e-4, 1, 2, *NO_REAL_CROPS)},
     ),
     "box": (
         "guided",
         0.999,
-        {"rehearsal": (24000, 5e-4, 4, 0, "photometric", 1.0, 3.0, 0.1, True, False, 0.0)},
+        {"rehearsal": (24000, 5e-4, 4, 0, *NO_REAL_CROPS)},
     ),
     "paper": (
         "psmnet-s",
         0.0,
         {
-            "photometric": (1800, 1e-3, 0, 2, "photometric", 1.0, 3.0, 0.1, False, True, 0.0),
+            "photometric": (1800, 1e-3, 0, 0, 2, "photometric", 1.0, 3.0, 0.1, False, True),
             "feature-1": (400, 1e-4, *AS_PUBLISHED),
             "feature-2": (400, 1e-4, *AS_PUBLISHED),
             "feature-3": (400, 1e-4, *AS_PUBLISHED),
@@ -50,6 +49,7 @@ def line_of(options: StageOptions) -> Line:
         options.steps,
         options.learning_rate,
         options.rehearsed,
+        options.retaken,
         options.captured,
         options.captured_loss,
         options.captured_weight,
@@ -57,7 +57,6 @@ def line_of(options: StageOptions) -> Line:
         options.smoothness,
         options.occlusion_masks,
         options.swaps_views,
-        options.labels_weight,
     )
 
 
@@ -94,25 +93,25 @@ def test_feature_metric_stages_alone_need_the_extractor_of_the_stage_before() ->
     for name in RECIPES:
         for stage in plan_stages(load_recipe(name).train):
             assert stage.needs_teacher == stage.name.startswith("feature-")
-            assert stage.needs_labels == (load_recipe(name).train.start == "box")
+            assert stage.needs_surfaces == (load_recipe(name).train.start == "box")
+            assert not stage.needs_truth
 
 
 @pytest.mark.parametrize(
-    ("options", "teacher", "labels"),
+    ("options", "needs"),
     [
-        ({"captured": 1, "captured_loss": "feature"}, True, False),
-        ({"rehearsed": 1, "captured_loss": "feature"}, False, False),
-        ({"captured": 1, "captured_loss": "labels"}, False, True),
-        ({"rehearsed": 1, "captured_loss": "labels"}, False, False),
-        ({"captured": 1, "captured_loss": "photometric", "labels_weight": 0.1}, False, True),
-        ({"rehearsed": 1, "labels_weight": 0.1}, False, False),
+        ({"captured": 1, "captured_loss": "feature"}, {"teacher"}),
+        ({"rehearsed": 1, "captured_loss": "feature"}, set()),
+        ({"captured": 1, "captured_loss": "supervised"}, {"truth"}),
+        ({"rehearsed": 1, "captured_loss": "supervised"}, set()),
+        ({"captured": 1, "captured_loss": "photometric"}, set()),
+        ({"retaken": 1}, {"surfaces"}),
     ],
 )
-def test_what_a_stage_needs_follows_from_its_real_crops(
-    options: dict[str, object], teacher: bool, labels: bool
-) -> None:
+def test_what_a_stage_needs_follows_from_its_crops(options: dict[str, object], needs: set[str]) -> None:
     stage = Stage("some", 0, StageOptions.model_validate({"steps": 1, **options}))
-    assert (stage.needs_teacher, stage.needs_labels) == (teacher, labels)
+    found = {"teacher": stage.needs_teacher, "truth": stage.needs_truth, "surfaces": stage.needs_surfaces}
+    assert {name for name, is_needed in found.items() if is_needed} == needs
 
 
 def test_stages_without_steps_are_left_out_and_the_others_counted_on() -> None:

@@ -162,7 +162,7 @@ def _facts(chain: Chain, stages: Sequence[Stage], device: torch.device) -> dict[
         ]
         for stage in stages
     ]
-    has_labels = any(stage.needs_labels for stage in stages)
+    has_disparities = any(stage.needs_truth or stage.needs_surfaces for stage in stages)
     return {
         "network": chain.recipe.network,
         "start": fingerprint(BOX_WEIGHTS) if options.start == "box" else None,
@@ -175,7 +175,9 @@ def _facts(chain: Chain, stages: Sequence[Stage], device: torch.device) -> dict[
         "seed": chain.task.seed,
         "device": device.type,
         "pairs": chain.pairs.digest,
-        "labels": chain.pairs.labels_folder.name if has_labels and chain.pairs.labels_folder else None,
+        "disparities": chain.pairs.disparities_folder.name
+        if has_disparities and chain.pairs.disparities_folder
+        else None,
         "judge": chain.judge_facts,
         "sources": source_fingerprint(training_entries(chain.recipe.network, stages)),
     }
@@ -247,7 +249,7 @@ def _training(chain: Chain, options: TrainOptions, folder: Path, *, device: torc
         window_px=chain.task.window,
         enlargement=enlargement,
         asymmetry=chain.asymmetry,
-        labels_folder=pairs.labels_folder,
+        disparities_folder=pairs.disparities_folder,
         undamaged=pairs.undamaged,
     )
     return Training(

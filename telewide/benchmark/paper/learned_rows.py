@@ -6,7 +6,7 @@ from pydantic import JsonValue
 
 from telewide.assets import BOX_WEIGHTS
 from telewide.benchmark.learned import LearnedSystem
-from telewide.benchmark.paper.sources import LABELLING, training_entries
+from telewide.benchmark.paper.sources import SURVEYING, training_entries
 from telewide.benchmark.paper.system import Place, Prepared, System, Task
 from telewide.training.stages import plan_stages
 
@@ -32,8 +32,8 @@ def learned_row(name: str, system: LearnedSystem) -> System:
     entries = training_entries(recipe.network, stages)
     if recipe.train.rehearsal.steps:
         entries += ("benchmark.paper.coarseness",)
-    if any(stage.needs_labels and stage.options.captured_loss != "supervised" for stage in stages):
-        entries += LABELLING
+    if any(stage.needs_surfaces for stage in stages):
+        entries += SURVEYING
     if system.corrects:
         entries += ("benchmark.paper.corrected",)
     if system.restorer:

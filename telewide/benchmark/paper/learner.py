@@ -43,7 +43,7 @@ from telewide.matching.networks import StereoNetwork, comparable_map, prepare_vi
 from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window
 from telewide.points.held_out import summarise_errors
-from telewide.stages.labels import labeller_of
+from telewide.stages.surfaces import surveyor_of
 from telewide.stages.train import USUAL_ASYMMETRY
 from telewide.training.checkpoint import STATE_NAME, load_state, load_weights
 from telewide.training.judge import Judge
@@ -122,12 +122,12 @@ def _second_view(
 
 
 def _teaches_by(options: TrainOptions, plan: tuple[Stage, ...]) -> str | None:
-    if any(stage.options.captured_loss == "supervised" for stage in plan):
+    if any(stage.needs_truth for stage in plan):
         return "truth"
-    if not any(stage.needs_labels for stage in plan):
+    if not any(stage.needs_surfaces for stage in plan):
         return None
-    labeller = labeller_of(options)
-    return f"labels-{labeller}" if labeller else "labels"
+    surveyor = surveyor_of(options)
+    return f"surfaces-{surveyor}" if surveyor else "surfaces"
 
 
 def truth_judge(task: Task, shown: SecondView) -> Judge:

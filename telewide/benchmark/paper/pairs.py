@@ -1,7 +1,7 @@
 """Pairs that systems learn from, written once as a training reads them and shared by all that learn from the same.
 
 OUT/pairs/<fingerprint>/<scene>/{tele,wide,sharp}.png     sharp is wide before any damage
-OUT/pairs/<fingerprint>/{truth,labels}/<scene>/           disparities, where a system needs them
+OUT/pairs/<fingerprint>/{truth,surfaces}/<scene>/         disparities, where a system needs them
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from pydantic import JsonValue
 
 from telewide.benchmark.datasets.protocols import Scene
-from telewide.benchmark.paper.sources import LABELLING, source_fingerprint
+from telewide.benchmark.paper.sources import SURVEYING, source_fingerprint
 from telewide.benchmark.paper.system import Place, SecondView, Task, content_fingerprint
 from telewide.capture.images import write_image
 from telewide.capture.layout import Capture
@@ -25,8 +25,8 @@ from telewide.capture.pfm import write_pfm
 from telewide.errors import InputError
 from telewide.files import is_file, write_text
 from telewide.folders import alone_in
-from telewide.stages.labels import confident_disparity, labelling_match
-from telewide.training.samples import labels_path
+from telewide.stages.surfaces import matched_surface, surveying_match
+from telewide.training.samples import disparity_path
 
 _DONE = "pairs.json"
 Facts = Mapping[str, JsonValue]
@@ -39,14 +39,14 @@ class TrainingPairs:
     Attributes:
         captures: tele and the second view as the system sees it.
         undamaged: by the name of a capture, the same with the second view before any damage.
-        labels_folder: disparities to be taught by; None where none are needed.
+        disparities_folder: truths, or what captures are taken again by; None where none are needed.
         digest: of all that they were made from.
         sizes_hw: of the pictures.
     """
 
     captures: tuple[Capture, ...]
     undamaged: Mapping[str, Capture]
-    labels_folder: Path | None
+    disparities_folder: Path | None
     digest: str
     sizes_hw: tuple[tuple[int, int], ...]
 
@@ -66,8 +66,8 @@ def write_pairs(
         place: of everything that is learned.
         second_view: what the system sees as the second view.
         view_facts: all that the second view depends on besides the scenes.
-        teaches_by: truth, labels (confident semi-global disparities), labels-LABELLER (those of the network in the
-            box, as of `labeller_of`), or None.
+        teaches_by: truth, surfaces (semi-global disparities), surfaces-SURVEYOR (those of the network in the box, as of
+            `surveyor_of`), or None.
 
     Raises:
         InputError: the task has no scenes to learn from, or one cannot be read.
@@ -76,12 +76,12 @@ def write_pairs(
         raise InputError("no scene to learn from is there", hint="the protocols of the table say which are taken")
     sharp = {_name(scene): scene.read() for scene in task.training}
     contents: list[JsonValue] = [f"{name} {content_fingerprint(truth)}" for name, truth in sharp.items()]
-    is_labelled = teaches_by is not None and teaches_by != "truth"
+    is_surveyed = teaches_by is not None and teaches_by != "truth"
     facts: dict[str, JsonValue] = {
         "scenes": contents,
         "window": list(task.window),
         "view": dict(view_facts),
-        "sources": source_fingerprint(["benchmark.paper.pairs", *(LABELLING if is_labelled else ())]),
+        "sources": source_fingerprint(["benchmark.paper.pairs", *(SURVEYING if is_surveyed else ())]),
     }
     digest = digest_of(facts)
     folder = place.folder / "pairs" / digest
@@ -93,10 +93,10 @@ def write_pairs(
                 write_image(folder / _name(scene) / "tele.png", truth.left)
                 write_image(folder / _name(scene) / "wide.png", second_view(scene.name, truth))
                 write_image(folder / _name(scene) / "sharp.png", truth.right)
-                write_pfm(labels_path(folder / "truth" / _name(scene), window_px=task.window), truth.disparity_px)
+                write_pfm(disparity_path(folder / "truth" / _name(scene), window_px=task.window), truth.disparity_px)
             write_text(folder / _DONE, json.dumps(facts) + "\n")
-        if teaches_by is not None and is_labelled:
-            _write_labels(folder / teaches_by, tuple(sharp), task, place)
+        if teaches_by is not None and is_surveyed:
+            _write_surfaces(folder / teaches_by, tuple(sharp), task, place)
     views = partial(_capture, folder)
     return TrainingPairs(
         tuple(views(name, "wide.png") for name in sharp),
@@ -116,12 +116,12 @@ def _capture(folder: Path, name: str, wide: str) -> Capture:
     return Capture(name, folder / name / "tele.png", folder / name / wide)
 
 
-def _write_labels(folder: Path, names: tuple[str, ...], task: Task, place: Place) -> None:
-    labeller = folder.name.removeprefix("labels").removeprefix("-")
-    match = labelling_match(labeller, device=task.device)
+def _write_surfaces(folder: Path, names: tuple[str, ...], task: Task, place: Place) -> None:
+    surveyor = folder.name.removeprefix("surfaces").removeprefix("-")
+    match = surveying_match(surveyor, device=task.device)
     for name in names:
-        path = labels_path(folder / name, window_px=task.window)
+        path = disparity_path(folder / name, window_px=task.window)
         if not is_file(path):
-            place.tell(f"{name}: labelled by {'the network in the box' if labeller else 'semi-global matching'}")
+            place.tell(f"{name}: matched by {'the network in the box' if surveyor else 'semi-global matching'}")
             pair = read_pair(_capture(folder.parent, name, "wide.png"))
-            write_pfm(path, confident_disparity(pair, task.window, match=match))
+            write_pfm(path, matched_surface(pair, task.window, match=match))

@@ -38,7 +38,7 @@ YET_COUNTED = ("capture.images", "capture.pair", "capture.pfm", "stages.match")
 """Modules of those packages that compute, or that hand over what is learned from."""
 FOR_SOME_ROWS = (
     *("benchmark.paper.coarseness", "benchmark.paper.corrected", "benchmark.paper.restored", "benchmark.spaces"),
-    *("training.spaces", "training.world_samples"),
+    *("training.spaces", "training.world_samples", "training.retaken"),
 )
 """Modules that only those rows run which name them as entries."""
 TABLES = {
@@ -50,8 +50,8 @@ TABLES = {
 """Modules whose lines are alternatives, and the dict that holds them."""
 BOX_NETWORK = "guided"
 """Network whose weights come with telewide."""
-LABELLING = ("stages.labels", f"matching.networks:{BOX_NETWORK}")
-"""Where labels of captures are made."""
+SURVEYING = ("stages.surfaces", f"matching.networks:{BOX_NETWORK}")
+"""Where captures are matched to be taken again."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ def training_entries(network: str, stages: Sequence[Stage]) -> tuple[str, ...]:
     """
     entries = ["benchmark.paper.learner", f"matching.networks:{network}"]
     entries += [f"training.spaces:{stage.space}" for stage in stages if stage.is_teaching_space]
-    if any(stage.options.rehearsed for stage in stages):
-        entries.append("training.world_samples")
+    if any(stage.options.exact for stage in stages):
+        entries += ["training.world_samples", "training.retaken"]
     return tuple(entries)
 
 

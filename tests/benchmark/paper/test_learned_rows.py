@@ -166,7 +166,7 @@ def test_supervised_rows_are_taught_the_truth(data: Path, out: Path) -> None:
     small_row("train.stages=0", "train.photometric.captured_loss=supervised", "train.photometric.smoothness=0").prepare(
         task_of(data, steps=2), Told().place(out)
     )
-    (path,) = {p.name: p for p in (out / "pairs").glob("*/truth/captures-a/labels_0_32.pfm")}.values()
+    (path,) = {p.name: p for p in (out / "pairs").glob("*/truth/captures-a/disparity_0_32.pfm")}.values()
     np.testing.assert_array_equal(read_pfm(path), scenes_of(data, "training")[0].read().disparity_px)
 
 

@@ -19,8 +19,8 @@ from telewide.benchmark.paper.learned_rows import learned_row
 from telewide.benchmark.paper.sources import (
     CANNOT_MATTER,
     FOR_SOME_ROWS,
-    LABELLING,
     PACKAGE,
+    SURVEYING,
     TABLES,
     YET_COUNTED,
     find_modules,
@@ -175,7 +175,7 @@ def test_a_restorer_depends_on_the_modules_it_is_made_of(name: str) -> None:
 
 
 def test_what_is_named_exists() -> None:
-    named = [*YET_COUNTED, *FOR_SOME_ROWS, *TABLES, *CANNOT_MATTER, *(entry.partition(":")[0] for entry in LABELLING)]
+    named = [*YET_COUNTED, *FOR_SOME_ROWS, *TABLES, *CANNOT_MATTER, *(entry.partition(":")[0] for entry in SURVEYING)]
     for module in named:
         path = PACKAGE.joinpath(*module.split("."))
         assert path.is_dir() or path.with_suffix(".py").is_file(), module
