@@ -378,7 +378,7 @@ def test_the_index_leads_to_captures_and_their_notes(tmp_path: Path) -> None:
             assert page.inner_text("#madeBy") == f"Matched by {name}."
             if name == names[2]:
                 page.locator("#strip button").first.click()
-                page.wait_for_function("document.getElementById('name').textContent === 'a'")
+                page.wait_for_selector("#name:text-is('a')")
                 page.wait_for_selector(DONE, timeout=120_000)
         address = page.url
         page.goto("about:blank")
