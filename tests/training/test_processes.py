@@ -224,7 +224,7 @@ def test_all_processes_match_with_the_weights_the_writer_wrote_last(tmp_path: Pa
     """However long it takes to write them, and be they the first."""
     write_captures(tmp_path / "captures", count=2, seed=1, hw=(96, 144), factor=2)
     (tmp_path / "script.py").write_text(SLOW_WRITER)
-    feature = "train.feature={steps: 1, captured: 1, captured_loss: feature}"
+    feature = "train.feature={steps: 1, captured: 2, captured_loss: feature}"
     settings = (f"train.stages={stages}", "train.rehearsal.steps=1", feature, "window_px=[-8, 32]")
     words = tuple(word for setting in (*settings, "train.crop_hw=[64, 96]") for word in ("--set", setting))
     asked = ("run", "captures", "--recipe", "quick", "--device", "cpu", "--quiet", *words)
