@@ -350,10 +350,11 @@ def test_facts_without_a_scale_invent_none() -> None:
 
 
 def test_weights_come_with_the_pairs_they_were_taught_on(simulated: Path, tmp_path: Path) -> None:
-    """Size, window and correction of the pairs are those of the weights; nothing else of their recipe is taken."""
+    """Size, window and correction are those of the weights; of their training, whatever its keys, nothing is taken."""
     taught = load_recipe("quick", settings=["working_width_px=256", "correction.colour=false"], seed=7)
     network = build_network(taught.network)
-    card = WeightsCard(taught.network, (-8, 32), taught.model_dump(mode="json"), {})
+    stated = {**taught.model_dump(mode="json"), "train": {"a_key_of_another_version": 1}}
+    card = WeightsCard(taught.network, (-8, 32), stated, {})
     save_weights(network, tmp_path / "w.safetensors", card=card)
     recipe = recipe_of_depth(tmp_path / "run", simulated, weights=tmp_path / "w.safetensors")
     assert recipe.working_width_px == 256

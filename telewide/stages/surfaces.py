@@ -49,7 +49,7 @@ def write_surfaces(
 
     Args:
         prepared: the pairs.
-        names: of the pairs that training will see.
+        names: of the pairs to write, those that judge among them.
         window: disparities to search, px at the working size.
         surveyor: as of :func:`surveyor_of`.
         device: of a network.

@@ -140,7 +140,7 @@ def _check_processes(plan: tuple[Stage, ...], processes: Processes) -> None:
         if crops < processes.world:
             raise UsageError(
                 f"stage {stage.name} has {crops} crops a step, too few for {processes.world} processes",
-                hint=f"start {crops} processes, or set train.{_section(stage)}.rehearsed or .captured higher",
+                hint=f"start {crops} or fewer, or give a step of train.{_section(stage)} more crops",
             )
 
 

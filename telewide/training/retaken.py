@@ -17,7 +17,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.matching.window import Window
 from telewide.simulate.beside import seen_from_beside
 from telewide.training.samples import SampleSource, read_disparity, seen_part
-from telewide.training.world_samples import MARGIN_PX, WorldCrop, recoloured
+from telewide.training.world_samples import WorldCrop, recoloured, shift_into
 
 ZOOM = (0.75, 1.25)
 DEEPER = (0.6, 1.25)
@@ -68,9 +68,8 @@ def _tilt(hw: tuple[int, ...], rng: np.random.Generator) -> FloatMap:
 
 def _moved(disparity_px: FloatMap, window: Window, rng: np.random.Generator) -> FloatMap:
     """Moved as a whole, so that the window holds it somewhere."""
-    low_px, high_px = np.quantile(disparity_px, (0.01, 0.99))
-    slack_px = max(0.0, window[1] - window[0] - (high_px - low_px) - 2 * MARGIN_PX)
-    return np.asarray(disparity_px - (low_px - window[0] - MARGIN_PX - rng.uniform(0, slack_px)), np.float32)
+    low_px, high_px = np.quantile(disparity_px, (0.01, 0.99)).tolist()
+    return np.asarray(disparity_px - shift_into(window, (low_px, high_px), rng=rng), np.float32)
 
 
 def _tensor(values: np.ndarray) -> Tensor:

@@ -331,9 +331,20 @@ def _shift(truth_px: Tensor, window: tuple[int, int], rng: np.random.Generator, 
     """Shift of src by which the crop's disparities lie somewhere in the window."""
     shares = torch.tensor([0.01, 0.99], device=truth_px.device)
     low, high = torch.quantile(truth_px.flatten()[::7], shares).tolist()
+    return int(np.clip(round(shift_into(window, (low, high), rng=rng)), *limits))
+
+
+def shift_into(window: Window, range_px: tuple[float, float], *, rng: np.random.Generator) -> float:
+    """Draw what to take off disparities of a range so that a window holds them somewhere, px.
+
+    Args:
+        window: disparities ``[d_min, d_max)``, px.
+        range_px: the least and the greatest of them; of a range too wide for the window the least.
+        rng: source of the draw.
+    """
+    low, high = range_px
     slack = max(0.0, window[1] - window[0] - (high - low) - 2 * MARGIN_PX)
-    wanted = low - window[0] - MARGIN_PX - rng.uniform(0, 1) * slack
-    return int(np.clip(round(wanted), *limits))
+    return low - window[0] - MARGIN_PX - rng.uniform(0, 1) * slack
 
 
 def _mild_damage(rng: np.random.Generator) -> Damage:

@@ -140,6 +140,14 @@ def assert_same_weights(run: Path, other: Path) -> None:
         assert all(torch.equal(weights[key], expected[key]) for key in expected), name
 
 
+def test_a_stage_that_learns_from_a_truth_is_refused(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
+    """Beside a truth.pfm too, which is for scoring alone."""
+    asked = ("train.rehearsal.captured=1", "train.rehearsal.captured_loss=supervised")
+    with pytest.raises(UsageError, match="stage rehearsal learns from a truth, which captures do not have"):
+        run_training(captures, tmp_path / "run", tiny(*asked, path=recipe_path))
+    assert not list(tmp_path.rglob("state.pt"))
+
+
 def test_training_on_captures_as_they_are_needs_no_surfaces(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     """As the paper's recipe does: photometric and feature-metric stages alone."""
     run = tmp_path / "run"
