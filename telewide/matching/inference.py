@@ -23,6 +23,7 @@ from torch.nn import functional
 from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotographed
+from telewide.matching.even_surfaces import even_surfaces
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
 from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
 from telewide.matching.sampling import pad_to_multiple
@@ -155,6 +156,8 @@ def match_with_network(
             *views, network=network, window=scaled_window(window, scale), max_tile_pixels=max_tile_pixels
         )
         found = _shrunken(larger, hw)
+    if network.has_confidence:
+        found = even_surfaces(found, ref)
     return without_unphotographed(found, valid)
 
 

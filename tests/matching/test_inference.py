@@ -11,11 +11,13 @@ import torch
 from numpy.typing import NDArray
 from training.small import stage_of, training_in
 
+from telewide.assets import BOX_WEIGHTS
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import find_captures, read_pair
 from telewide.errors import MissingPartError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching import inference
+from telewide.matching.even_surfaces import even_surfaces
 from telewide.matching.inference import (
     GRID_PX,
     choose_device,
@@ -29,7 +31,7 @@ from telewide.matching.volume import correlate_groups, expect_disparity
 from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene
-from telewide.training.checkpoint import new_state
+from telewide.training.checkpoint import load_weights, new_state
 from telewide.training.data import StepBatches
 from telewide.training.loop import take_step
 from telewide.training.samples import SampleSource
@@ -371,6 +373,21 @@ def test_small_views_are_matched_as_if_they_were_larger(monkeypatch: pytest.Monk
         results.append(match_with_network(ref, src, network=build_network(name, seed=1), window=(0, 32)))
     assert sizes == [((96, 144), (0, 48)), ((68, 102), (0, 36)), ((64, 96), (0, 32)), ((64, 96), (0, 32))]
     assert all(found.disparity_px.shape == (64, 96) for found in results)
+
+
+@pytest.mark.parametrize(("name", "is_evened"), [("guided", True), ("lite", False)])
+def test_surfaces_are_made_even_where_the_network_knows_how_sure_it_is(
+    name: str, is_evened: bool, example: Views, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = load_weights(BOX_WEIGHTS, device=CPU)[0] if name == "guided" else build_network(name, seed=1)
+    window = (0, 32)
+    made = match_with_network(*example, network=network, window=window)
+    with monkeypatch.context() as patch:
+        patch.setattr(inference, "even_surfaces", lambda found, ref: found)
+        matched = match_with_network(*example, network=network, window=window)
+    expected = even_surfaces(matched, example[0]) if is_evened else matched
+    np.testing.assert_array_equal(made.disparity_px, expected.disparity_px)
+    assert np.array_equal(made.disparity_px, matched.disparity_px) is not is_evened
 
 
 @pytest.mark.parametrize(("factor", "is_enlarged"), [(1, True), (4, True), (12, False)])

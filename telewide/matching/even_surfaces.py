@@ -1,0 +1,258 @@
+"""Even surfaces of a matched map: what a network draws of a plain wall ripples, the wall does not.
+
+On a surface the errors of a network are smooth, and larger where it is less sure. So large even pieces of the map are
+looked for, each a polynomial of the second degree in the picture, and pixels are pulled to their piece: within what
+their confidence leaves open, and not where the network is sure of texture. Edges of depth, and what stands before a
+piece, stay as they are. On a plane disparity is affine in the picture; the second degree is for what bends, and for
+what lenses leave of their distortion.
+Letters: H W image; h w grid of cells; K terms of a polynomial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from telewide.geometry.arrays import BoolMap, FloatArray, FloatImage, FloatMap
+from telewide.geometry.stereo import DisparityMap
+
+CELL_PX = 8
+SEEDS_ACROSS = 12
+"""Places along the side of a square picture from which pieces grow."""
+SEED_REACH_CELLS = 8
+LEAST_SIDE_PX = 64
+"""A smaller picture has no room for pieces."""
+LEAST_SHARE = 0.015
+"""Smallest piece, of all cells."""
+TOLERANCE_STDS = 3.0
+TOLERANCE_PX = (0.6, 6.0)
+"""Least and largest distance from a piece within which a pixel is taken for one of it."""
+STEEP = 12 / 255
+"""Change of colour a px, from which a cell is more than a plain surface: only the least tolerance counts there."""
+SURE = (0.9, 0.99)
+TEXTURED = (0.005, 0.02)
+"""Confidence, and mean change of colour a px, over which a pixel is held back; at the upper ends of both it stays."""
+AROUND_PX = 33
+JUMP_PX = 1.0
+JUMP_REACH_PX = (1.0, 5.0)
+"""Distances from a jump of depth over which the pull begins and is whole."""
+
+_AFFINE_TERMS, _ALL_TERMS = 3, 6
+_AFFINE_ROUNDS, _ROUNDS = 2, 6
+_REWEIGHTINGS = 3
+_LEAST_STD_PX = 0.3
+_CONFIDENCES = (0.05, 0.9995)  # beyond them a normal deviation says nothing
+
+
+def even_surfaces(found: DisparityMap, ref: FloatImage) -> DisparityMap:
+    """Pull the pixels of large even pieces of a map to their surface.
+
+    Args:
+        found: its confidence is the probability of an error below 1 px.
+        ref: (H, W, 3) the view of the map, [0, 1].
+
+    Returns:
+        The map with other disparities; confidence and what counts as measured are the same.
+    """
+    if min(found.disparity_px.shape) < LEAST_SIDE_PX:
+        return found
+    view = _View.of(found, ref)
+    cells = _Cells.of(view)
+    pieces = _pieces(cells)
+    if not pieces:
+        return found
+    surface_px, share = _surface_of_pieces(pieces, cells, hw=view.disparity_px.shape)
+    away_px = surface_px - view.disparity_px
+    reach = np.clip(2 * np.abs(away_px) / view.tolerance_px - 1, 0, 1)
+    pull = share * (1 - reach * reach * (3 - 2 * reach)) * _openness(view)
+    return DisparityMap(view.disparity_px + pull * away_px, found.confidence, found.valid)
+
+
+@dataclass(frozen=True)
+class _View:
+    """Facts of each pixel, (H, W) each.
+
+    Attributes:
+        disparity_px: as matched.
+        confidence: as matched.
+        std_px: of its error, by the confidence around it.
+        slope: change of colour a px.
+        tolerance_px: distance from a piece within which it is taken for one of it.
+    """
+
+    disparity_px: FloatMap
+    confidence: FloatMap
+    std_px: FloatMap
+    slope: FloatMap
+    tolerance_px: FloatMap
+
+    @classmethod
+    def of(cls, found: DisparityMap, ref: FloatImage) -> _View:
+        slope = _slope(ref)
+        is_steep = cv2.dilate(slope, np.ones((CELL_PX + 3, CELL_PX + 3))) >= STEEP
+        std_px = _std_px(_mean_around(found.confidence, 2 * CELL_PX + 1))
+        tolerance_px = np.where(is_steep, TOLERANCE_PX[0], np.clip(TOLERANCE_STDS * std_px, *TOLERANCE_PX))
+        return cls(found.disparity_px, found.confidence, std_px, slope, tolerance_px.astype(np.float32))
+
+
+def _slope(ref: FloatImage) -> FloatMap:
+    """(H, W) change of colour a px, of a photo blurred by 1 px."""
+    smooth = cv2.GaussianBlur(ref, (0, 0), 1.0)
+    across, down = (cv2.Sobel(smooth, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))
+    return np.asarray(np.sqrt((across * across + down * down).sum(axis=2)), dtype=np.float32)
+
+
+def _median(disparity_px: FloatMap) -> FloatMap:
+    return np.asarray(cv2.medianBlur(np.ascontiguousarray(disparity_px), 5), dtype=np.float32)
+
+
+def _mean_around(values: FloatMap, width: int) -> FloatMap:
+    return np.asarray(cv2.blur(values, (width, width)), dtype=np.float32)
+
+
+def _std_px(confidence: FloatMap) -> FloatMap:
+    """Standard deviation of a normal error that stays below 1 px with this probability."""
+    return np.asarray(1 / ndtri((1 + np.clip(confidence, *_CONFIDENCES)) / 2), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """The map by cells of ``CELL_PX``: their centres' values, (h, w) each, and the terms of a polynomial (K, h, w)."""
+
+    disparity_px: FloatMap
+    confidence: FloatMap
+    tolerance_px: FloatMap
+    weight: FloatArray
+    terms: FloatArray
+
+    @classmethod
+    def of(cls, view: _View) -> _Cells:
+        centres = (slice(CELL_PX // 2, None, CELL_PX), slice(CELL_PX // 2, None, CELL_PX))
+        disparity_px = _median(view.disparity_px)[centres]
+        sure = _mean_around(view.confidence, 2 * CELL_PX + 1)[centres]
+        weight = 1 / np.maximum(view.std_px[centres], _LEAST_STD_PX).astype(np.float64) ** 2
+        grid = np.indices(disparity_px.shape).astype(np.float64)
+        terms = _terms(grid[1], grid[0], hw=disparity_px.shape)
+        return cls(disparity_px, sure, np.ascontiguousarray(view.tolerance_px[centres]), weight, terms)
+
+
+def _terms(columns: FloatArray, rows: FloatArray, *, hw: tuple[int, ...]) -> FloatArray:
+    """(K, ...) terms of the second degree of places on the grid of cells, scaled to about [-1, 1]."""
+    half = max(hw) / 2
+    u, v = (columns - hw[1] / 2) / half, (rows - hw[0] / 2) / half
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    inside: BoolMap
+    coefficients: FloatArray
+
+    def distance_px(self, cells: _Cells) -> FloatArray:
+        """(h, w) distance of all cells from its surface."""
+        surface_px = np.tensordot(self.coefficients, cells.terms[: len(self.coefficients)], 1)
+        return np.asarray(np.abs(cells.disparity_px - surface_px))
+
+
+def _pieces(cells: _Cells) -> list[_Piece]:
+    """Large even pieces that share no cell; the surest seeds grow first."""
+    is_free = np.ones(cells.disparity_px.shape, dtype=np.bool_)
+    pieces = []
+    for seed in _seeds(cells):
+        piece = _grown(seed, cells, is_free) if is_free[seed] else None
+        if piece is not None and piece.inside.sum() >= LEAST_SHARE * is_free.size:
+            is_free &= ~piece.inside
+            pieces.append(piece)
+    return pieces
+
+
+def _seeds(cells: _Cells) -> list[tuple[int, int]]:
+    h, w = cells.disparity_px.shape
+    pitch = max(1, int(np.sqrt(h * w) / SEEDS_ACROSS))
+    sure = _mean_around(cells.confidence, 2 * SEED_REACH_CELLS + 1)
+    places = [(row, column) for row in range(pitch // 2, h, pitch) for column in range(pitch // 2, w, pitch)]
+    return sorted(places, key=lambda place: -float(sure[place]))
+
+
+def _grown(seed: tuple[int, int], cells: _Cells, is_free: BoolMap) -> _Piece | None:
+    """Fit the surroundings of a seed, take in what is connected and fits, fit that; None where nothing is even."""
+    row, column = seed
+    inside = np.zeros_like(is_free)
+    rows, columns = (slice(max(0, at - SEED_REACH_CELLS), at + SEED_REACH_CELLS + 1) for at in seed)
+    inside[rows, columns] = True
+    inside &= is_free & (np.abs(cells.disparity_px - cells.disparity_px[seed]) < 4 * cells.tolerance_px)
+    if inside.sum() < SEED_REACH_CELLS**2:
+        return None
+    piece = _fitted(_Piece(inside, np.array([cells.disparity_px[seed], 0.0, 0.0])), cells, width=4.0)
+    for fit in range(_ROUNDS):
+        if fit == _AFFINE_ROUNDS:
+            piece = _Piece(piece.inside, np.append(piece.coefficients, np.zeros(_ALL_TERMS - _AFFINE_TERMS)))
+        is_near = (piece.distance_px(cells) < cells.tolerance_px) & is_free
+        # Opened, so that a piece does not leak through single cells.
+        fits = np.asarray(cv2.morphologyEx(is_near.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))))
+        if not fits[seed]:
+            return None
+        cv2.floodFill(fits, None, (column, row), 2)
+        piece = _fitted(_Piece(fits == 2, piece.coefficients), cells, width=1.5)
+    return piece
+
+
+def _fitted(piece: _Piece, cells: _Cells, *, width: float) -> _Piece:
+    """Fit the surface to its cells by reweighted least squares with Tukey's weights, ``width`` tolerances wide."""
+    inside = piece.inside
+    terms = cells.terms[: len(piece.coefficients), inside]
+    values_px, weights = cells.disparity_px[inside].astype(np.float64), cells.weight[inside]
+    reach_px = width * cells.tolerance_px[inside]
+    coefficients = piece.coefficients
+    for _ in range(_REWEIGHTINGS):
+        off = np.minimum(np.abs(values_px - coefficients @ terms) / reach_px, 1)
+        weighted = terms * (weights * (1 - off * off) ** 2)
+        ridge = 1e-9 * np.eye(len(terms))
+        coefficients = np.linalg.solve(weighted @ terms.T + ridge, weighted @ values_px)
+    return _Piece(inside, coefficients)
+
+
+def _surface_of_pieces(
+    pieces: list[_Piece], cells: _Cells, *, hw: tuple[int, ...]
+) -> tuple[FloatMap, NDArray[np.float32]]:
+    """(H, W) surfaces, px, and shares in [0, 1] of how far within its piece a pixel lies."""
+    h, w = cells.disparity_px.shape
+    coefficients = np.zeros((_ALL_TERMS, h, w), dtype=np.float32)
+    share = np.zeros((h, w), dtype=np.float32)
+    for piece in pieces:
+        alike = cv2.blur(piece.inside.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
+        share[piece.inside] = 2 * np.maximum(alike[piece.inside] - 0.5, 0)
+        coefficients[:, piece.inside] = piece.coefficients[:, None]
+    rows, columns = np.indices(hw, dtype=np.float32)
+    # The centres that cells are sampled at lie half a cell from their corner.
+    terms = _terms(columns / CELL_PX - 0.5, rows / CELL_PX - 0.5, hw=(h, w))
+    nearest = (_enlarged(cells_of_term, hw, cv2.INTER_NEAREST) for cells_of_term in coefficients)
+    surface_px = sum(term * coefficient for term, coefficient in zip(terms, nearest, strict=True))
+    return np.asarray(surface_px, dtype=np.float32), _enlarged(share, hw, cv2.INTER_LINEAR)
+
+
+def _enlarged(cells: FloatMap, hw: tuple[int, ...], interpolation: int) -> FloatMap:
+    """(H, W) of a grid of cells; the rest of a cell that the picture cuts off continues the last."""
+    h, w = cells.shape
+    whole = cv2.resize(cells, (w * CELL_PX, h * CELL_PX), interpolation=interpolation)
+    right, below = max(0, hw[1] - w * CELL_PX), max(0, hw[0] - h * CELL_PX)
+    padded = cv2.copyMakeBorder(whole, 0, below, 0, right, cv2.BORDER_REPLICATE)
+    return np.asarray(padded[: hw[0], : hw[1]], dtype=np.float32)
+
+
+def _openness(view: _View) -> FloatMap:
+    """(H, W) share in [0, 1] of a pull that is followed: none beside jumps of depth, little where texture is sure."""
+    sure = _ramp(_mean_around(view.confidence, AROUND_PX), *SURE)
+    textured = _ramp(_mean_around(view.slope, AROUND_PX), *TEXTURED)
+    smooth_px, near = _median(view.disparity_px), np.ones((5, 5))
+    is_jump = cv2.dilate(smooth_px, near) - cv2.erode(smooth_px, near) > JUMP_PX
+    distance_px = np.asarray(cv2.distanceTransform((~is_jump).astype(np.uint8), cv2.DIST_L2, 3), dtype=np.float32)
+    return (1 - sure * textured) * _ramp(distance_px, *JUMP_REACH_PX)
+
+
+def _ramp(values: FloatMap, first: float, last: float) -> FloatMap:
+    return np.asarray(np.clip((values - first) / (last - first), 0, 1), dtype=np.float32)
