@@ -41,7 +41,9 @@ JUMP_PX = 1.0
 JUMP_REACH_PX = (1.0, 5.0)
 """Distances from a jump of depth over which the pull begins and is whole."""
 
-_AFFINE_TERMS, _ALL_TERMS = 3, 6
+_POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+"""Of x and y in each term of a polynomial; the first three are those of a plane."""
+_AFFINE_TERMS = 3
 _AFFINE_ROUNDS, _ROUNDS = 2, 6
 _REWEIGHTINGS = 3
 _LEAST_STD_PX = 0.3
@@ -101,9 +103,12 @@ class _View:
 
 def _slope(ref: FloatImage) -> FloatMap:
     """(H, W) change of colour a px, of a photo blurred by 1 px."""
-    smooth = cv2.GaussianBlur(ref, (0, 0), 1.0)
-    across, down = (cv2.Sobel(smooth, cv2.CV_32F, dx, 1 - dx, scale=1 / 8) for dx in (1, 0))
-    return np.asarray(np.sqrt((across * across + down * down).sum(axis=2)), dtype=np.float32)
+    square = np.zeros(ref.shape[:2], dtype=np.float32)
+    for channel in range(3):  # one by one, for the memory of large photos
+        smooth = cv2.GaussianBlur(np.ascontiguousarray(ref[..., channel]), (0, 0), 1.0)
+        for right, down in ((1, 0), (0, 1)):
+            square += np.square(cv2.Sobel(smooth, cv2.CV_32F, right, down, scale=1 / 8))
+    return np.sqrt(square)
 
 
 def _median(disparity_px: FloatMap) -> FloatMap:
@@ -135,16 +140,16 @@ class _Cells:
         disparity_px = _median(view.disparity_px)[centres]
         sure = _mean_around(view.confidence, 2 * CELL_PX + 1)[centres]
         weight = 1 / np.maximum(view.std_px[centres], _LEAST_STD_PX).astype(np.float64) ** 2
-        grid = np.indices(disparity_px.shape).astype(np.float64)
-        terms = _terms(grid[1], grid[0], hw=disparity_px.shape)
+        h, w = disparity_px.shape
+        x, y = _scaled(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64), hw=(h, w))
+        terms = np.stack([np.broadcast_to(x**right * y**down, (h, w)) for right, down in _POWERS])
         return cls(disparity_px, sure, np.ascontiguousarray(view.tolerance_px[centres]), weight, terms)
 
 
-def _terms(columns: FloatArray, rows: FloatArray, *, hw: tuple[int, ...]) -> FloatArray:
-    """(K, ...) terms of the second degree of places on the grid of cells, scaled to about [-1, 1]."""
+def _scaled(columns: FloatArray, rows: FloatArray, *, hw: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of the grid of cells, scaled to about [-1, 1], as a row (1, w) and a column (h, 1)."""
     half = max(hw) / 2
-    u, v = (columns - hw[1] / 2) / half, (rows - hw[0] / 2) / half
-    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+    return ((columns - hw[1] / 2) / half)[None], ((rows - hw[0] / 2) / half)[:, None]
 
 
 @dataclass(frozen=True)
@@ -190,7 +195,7 @@ def _grown(seed: tuple[int, int], cells: _Cells, is_free: BoolMap) -> _Piece | N
     piece = _fitted(_Piece(inside, np.array([cells.disparity_px[seed], 0.0, 0.0])), cells, width=4.0)
     for fit in range(_ROUNDS):
         if fit == _AFFINE_ROUNDS:
-            piece = _Piece(piece.inside, np.append(piece.coefficients, np.zeros(_ALL_TERMS - _AFFINE_TERMS)))
+            piece = _Piece(piece.inside, np.append(piece.coefficients, np.zeros(len(_POWERS) - _AFFINE_TERMS)))
         is_near = (piece.distance_px(cells) < cells.tolerance_px) & is_free
         # Opened, so that a piece does not leak through single cells.
         fits = np.asarray(cv2.morphologyEx(is_near.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3))))
@@ -221,18 +226,19 @@ def _surface_of_pieces(
 ) -> tuple[FloatMap, NDArray[np.float32]]:
     """(H, W) surfaces, px, and shares in [0, 1] of how far within its piece a pixel lies."""
     h, w = cells.disparity_px.shape
-    coefficients = np.zeros((_ALL_TERMS, h, w), dtype=np.float32)
+    coefficients = np.zeros((len(_POWERS), h, w), dtype=np.float32)
     share = np.zeros((h, w), dtype=np.float32)
     for piece in pieces:
         alike = cv2.blur(piece.inside.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
         share[piece.inside] = 2 * np.maximum(alike[piece.inside] - 0.5, 0)
         coefficients[:, piece.inside] = piece.coefficients[:, None]
-    rows, columns = np.indices(hw, dtype=np.float32)
     # The centres that cells are sampled at lie half a cell from their corner.
-    terms = _terms(columns / CELL_PX - 0.5, rows / CELL_PX - 0.5, hw=(h, w))
-    nearest = (_enlarged(cells_of_term, hw, cv2.INTER_NEAREST) for cells_of_term in coefficients)
-    surface_px = sum(term * coefficient for term, coefficient in zip(terms, nearest, strict=True))
-    return np.asarray(surface_px, dtype=np.float32), _enlarged(share, hw, cv2.INTER_LINEAR)
+    columns, rows = (np.arange(side, dtype=np.float64) / CELL_PX - 0.5 for side in (hw[1], hw[0]))
+    x, y = (place.astype(np.float32) for place in _scaled(columns, rows, hw=(h, w)))
+    surface_px = np.zeros(hw, dtype=np.float32)
+    for (right, down), of_term in zip(_POWERS, coefficients, strict=True):
+        surface_px += x**right * y**down * _enlarged(of_term, hw, cv2.INTER_NEAREST)
+    return surface_px, _enlarged(share, hw, cv2.INTER_LINEAR)
 
 
 def _enlarged(cells: FloatMap, hw: tuple[int, ...], interpolation: int) -> FloatMap:
