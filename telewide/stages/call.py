@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -128,12 +129,19 @@ def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:
     known = [capture.name for capture in captures.captures]
     for name in only:
         if name not in known:
-            near = sorted(difflib.get_close_matches(name, known, n=MOST_NAMED, cutoff=0.0))
-            rest = " ..." if len(known) > len(near) else ""
-            raise UsageError(f"{captures.root} holds no capture {name}", hint=f"known ones: {', '.join(near)}{rest}")
+            raise UsageError(f"{captures.root} holds no capture {name}", hint=_names_known(name, known))
     chosen = tuple(capture for capture in captures.captures if capture.name in only)
     problems = tuple(problem for problem in captures.problems if problem.name in only)
     return replace(captures, captures=chosen, problems=problems)
+
+
+def _names_known(name: str, known: Sequence[str]) -> str:
+    """Say what captures are called, or how several are named where a comma stands between them."""
+    several = name.split(",")
+    if set(several) <= set(known):
+        return f"name them one by one: {' '.join(f'--only {shlex.quote(each)}' for each in several)}"
+    near = sorted(difflib.get_close_matches(name, known, n=MOST_NAMED, cutoff=0.0))
+    return f"known ones: {', '.join(near)}{' ...' if len(known) > len(near) else ''}"
 
 
 @contextmanager
