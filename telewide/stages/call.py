@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import math
 import os
-import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -139,7 +138,7 @@ def _names_known(name: str, known: Sequence[str]) -> str:
     """Say what captures are called, or how several are named where a comma stands between them."""
     several = name.split(",")
     if set(several) <= set(known):
-        return f"name them one by one: {' '.join(f'--only {shlex.quote(each)}' for each in several)}"
+        return f"each takes the option once more: {', '.join(several)}"
     near = sorted(difflib.get_close_matches(name, known, n=MOST_NAMED, cutoff=0.0))
     return f"known ones: {', '.join(near)}{' ...' if len(known) > len(near) else ''}"
 

@@ -288,7 +288,7 @@ def test_a_distance_can_be_stated_in_every_layout(
     (captures / "rig.yaml").unlink()
     state(captures, rectified=True)
     refused(capsys, "depth", "--only", "00", code=2, names=("no capture 00", "000"))
-    refused(capsys, "depth", "--only", "000,001", code=2, names=("--only 000 --only 001",))
+    refused(capsys, "depth", "--only", "000,001", code=2, names=("the option once more: 000, 001",))
     assert run_cli("depth", "--method", "sgm", "--only", "001", "--json") == 0
     assert [capture["name"] for capture in json.loads(capsys.readouterr().out)["captures"]] == ["001"]
 
