@@ -80,14 +80,18 @@ class _View:
 
     Attributes:
         disparity_px: as matched.
+        smooth_px: its median over 5 x 5 pixels.
         confidence: as matched.
-        std_px: of its error, by the confidence around it.
+        sure: the mean confidence around it.
+        std_px: of its error, by `sure`.
         slope: change of colour a px.
         tolerance_px: distance from a piece within which it is taken for one of it.
     """
 
     disparity_px: FloatMap
+    smooth_px: FloatMap
     confidence: FloatMap
+    sure: FloatMap
     std_px: FloatMap
     slope: FloatMap
     tolerance_px: FloatMap
@@ -96,9 +100,18 @@ class _View:
     def of(cls, found: DisparityMap, ref: FloatImage) -> _View:
         slope = _slope(ref)
         is_steep = cv2.dilate(slope, np.ones((CELL_PX + 3, CELL_PX + 3))) >= STEEP
-        std_px = _std_px(_mean_around(found.confidence, 2 * CELL_PX + 1))
+        sure = _mean_around(found.confidence, 2 * CELL_PX + 1)
+        std_px = _std_px(sure)
         tolerance_px = np.where(is_steep, TOLERANCE_PX[0], np.clip(TOLERANCE_STDS * std_px, *TOLERANCE_PX))
-        return cls(found.disparity_px, found.confidence, std_px, slope, tolerance_px.astype(np.float32))
+        return cls(
+            disparity_px=found.disparity_px,
+            smooth_px=np.asarray(cv2.medianBlur(np.ascontiguousarray(found.disparity_px), 5), dtype=np.float32),
+            confidence=found.confidence,
+            sure=sure,
+            std_px=std_px,
+            slope=slope,
+            tolerance_px=tolerance_px.astype(np.float32),
+        )
 
 
 def _slope(ref: FloatImage) -> FloatMap:
@@ -109,10 +122,6 @@ def _slope(ref: FloatImage) -> FloatMap:
         for right, down in ((1, 0), (0, 1)):
             square += np.square(cv2.Sobel(smooth, cv2.CV_32F, right, down, scale=1 / 8))
     return np.sqrt(square)
-
-
-def _median(disparity_px: FloatMap) -> FloatMap:
-    return np.asarray(cv2.medianBlur(np.ascontiguousarray(disparity_px), 5), dtype=np.float32)
 
 
 def _mean_around(values: FloatMap, width: int) -> FloatMap:
@@ -137,13 +146,12 @@ class _Cells:
     @classmethod
     def of(cls, view: _View) -> _Cells:
         centres = (slice(CELL_PX // 2, None, CELL_PX), slice(CELL_PX // 2, None, CELL_PX))
-        disparity_px = _median(view.disparity_px)[centres]
-        sure = _mean_around(view.confidence, 2 * CELL_PX + 1)[centres]
+        disparity_px = view.smooth_px[centres]
         weight = 1 / np.maximum(view.std_px[centres], _LEAST_STD_PX).astype(np.float64) ** 2
         h, w = disparity_px.shape
         x, y = _scaled(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64), hw=(h, w))
         terms = np.stack([np.broadcast_to(x**right * y**down, (h, w)) for right, down in _POWERS])
-        return cls(disparity_px, sure, np.ascontiguousarray(view.tolerance_px[centres]), weight, terms)
+        return cls(disparity_px, view.sure[centres], np.ascontiguousarray(view.tolerance_px[centres]), weight, terms)
 
 
 def _scaled(columns: FloatArray, rows: FloatArray, *, hw: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
@@ -254,8 +262,8 @@ def _openness(view: _View) -> FloatMap:
     """(H, W) share in [0, 1] of a pull that is followed: none beside jumps of depth, little where texture is sure."""
     sure = _ramp(_mean_around(view.confidence, AROUND_PX), *SURE)
     textured = _ramp(_mean_around(view.slope, AROUND_PX), *TEXTURED)
-    smooth_px, near = _median(view.disparity_px), np.ones((5, 5))
-    is_jump = cv2.dilate(smooth_px, near) - cv2.erode(smooth_px, near) > JUMP_PX
+    near = np.ones((5, 5))
+    is_jump = cv2.dilate(view.smooth_px, near) - cv2.erode(view.smooth_px, near) > JUMP_PX
     distance_px = np.asarray(cv2.distanceTransform((~is_jump).astype(np.uint8), cv2.DIST_L2, 3), dtype=np.float32)
     return (1 - sure * textured) * _ramp(distance_px, *JUMP_REACH_PX)
 
