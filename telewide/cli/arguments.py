@@ -39,7 +39,7 @@ FormatOption = Annotated[
         "--format",
         metavar="NAME,...",
         help="Depth files: pfm, png, npz, mm, tiff, grey, gdepth, dynamic, ply, glb, exr, heic or all. "
-        "[default: pfm,png,npz]",
+        "[default: those that lie there, at first pfm,png,npz]",
     ),
 ]
 DistanceOption = Annotated[

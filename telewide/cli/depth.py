@@ -165,8 +165,8 @@ def depth_options(
     )
 
 
-def _formats(words: Sequence[str], *, is_stripped_alone: bool) -> tuple[str, ...]:
-    """Choose the depth files, some of which must hold facts where these are to be left out of them alone."""
+def _formats(words: Sequence[str], *, is_stripped_alone: bool) -> tuple[str, ...] | None:
+    """Choose the depth files, some with facts where these alone are to be left out; None for those that lie there."""
     from telewide.depth.export import WITH_FACTS, chosen_formats
 
     chosen = chosen_formats(words)
@@ -175,7 +175,7 @@ def _formats(words: Sequence[str], *, is_stripped_alone: bool) -> tuple[str, ...
             "--strip leaves facts of the photo out of files that hold any, and none of these does",
             hint=f"add --bokeh, or a --format of {', '.join(sorted(WITH_FACTS))}",
         )
-    return chosen
+    return chosen if words else None
 
 
 def say_depth(done: DepthRun, observer: ConsoleObserver) -> None:

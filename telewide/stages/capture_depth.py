@@ -134,7 +134,7 @@ def depth_of_capture(
     key: Mapping[str, object],
     shot: ShotGeometry | None = None,
     photos: PhotoStore | None = None,
-    formats: tuple[str, ...] = DEFAULT_FORMATS,
+    formats: tuple[str, ...] | None = None,
     is_stripped: bool = False,
 ) -> DepthOutcome | DepthFailure:
     """Make depth, and bokeh if asked, of one capture; what lies there already is not made again.
@@ -150,7 +150,7 @@ def depth_of_capture(
         key: everything the files depend on but the truth, as plain data.
         shot: of a pair that was rectified with a rig; None for photos that were rectified when they came.
         photos: where the tele photo may be kept; None decodes it.
-        formats: of the depth files, the npz among them.
+        formats: of the depth files, the npz among them; None for those that lie there, the usual ones where none do.
         is_stripped: whether they are to say nothing of the photo but its colour profile.
 
     Returns:
@@ -163,12 +163,12 @@ def depth_of_capture(
         key = {**key, "truth_sha256": source.truth_path and fingerprint(source.truth_path)}
         if (kept := read_kept(folder, key)) is not None:
             return replace(_outcome(source.name, folder, kept), is_kept=True)
-        _refuse_others_files(folder, source, (*file_names(formats), *bokeh_names(bokeh), KEPT_NAME))
+        _refuse_others_files(folder, source, (*file_names(formats or DEFAULT_FORMATS), *bokeh_names(bokeh), KEPT_NAME))
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
             picture = found.bokeh(source, bokeh, beyond=beyond_frame(held_out, shot, photos))
-        made = _put(found, picture, folder, asked=_Asked(source, turned_deg, formats, is_stripped), key=key)
+        made = _put(found, picture, folder, asked=found.asked(source, formats, bokeh, is_stripped=is_stripped), key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
     return replace(_outcome(source.name, folder, made), is_depth_kept=found.lying is not None)
@@ -211,14 +211,23 @@ class _Depth:
         return_freed_memory()
         return picture
 
+    def asked(
+        self, source: Capture, formats: tuple[str, ...] | None, bokeh: BokehOptions | None, *, is_stripped: bool
+    ) -> _Asked:
+        """Tell what is asked for; where no format is named, what lies there stays, and stays stripped."""
+        if formats is None and self.lying is not None:
+            formats, is_stripped = self.lying.depth.formats, is_stripped or self.lying.depth.is_stripped
+        return _Asked(source, self.turned_deg, formats or DEFAULT_FORMATS, bokeh_names(bokeh), is_stripped=is_stripped)
+
 
 @dataclass(frozen=True)
 class _Asked:
-    """Depth files that are asked for, and the photos they are made of."""
+    """Files that are asked for, and the photos they are made of."""
 
     source: Capture
     turned_deg: int
     formats: tuple[str, ...]
+    pictures: tuple[str, ...]
     is_stripped: bool
 
     def is_lying_there(self, kept: KeptDepth) -> bool:
@@ -318,7 +327,9 @@ def _put(
             numbers=dict(depth.numbers),
         )
         names = [path.name for path in written.paths]
-        bokeh_files = _write_bokeh(new, bokeh, former=folder, taken=_bokeh_of(folder, new / NPZ_NAME))
+        # One of a name that is asked for would pass for it.
+        lying = [name for name in _bokeh_of(folder, new / NPZ_NAME) if name not in asked.pictures]
+        bokeh_files = _write_bokeh(new, bokeh, former=folder, taken=lying)
         names += bokeh_files
         unstripped, left = _unstripped(bokeh_files, bokeh, folder, asked=asked)
         notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes), *left)
@@ -347,11 +358,10 @@ def _write_depth(folder: Path, depth: _Depth, *, former: Path, asked: _Asked) ->
 
 
 def _write_bokeh(folder: Path, bokeh: CaptureBokeh | None, *, former: Path, taken: list[str]) -> list[str]:
-    """Write the bokeh into a folder, and name its files; earlier ones of the same depth stay beside a preview alone."""
+    """Write the bokeh into a folder, and name its files; earlier ones of the same depth stay until others are made."""
     files = None if bokeh is None else bokeh.files
     new = () if files is None else files.names
-    if bokeh is None or new == (PREVIEW_BOKEH_NAME,):
-        taken = [name for name in taken if name not in new]
+    if new in ((), (PREVIEW_BOKEH_NAME,)):
         for name in taken:
             _take_over(former / name, folder / name)
     else:

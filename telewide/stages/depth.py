@@ -14,7 +14,6 @@ from telewide.bokeh.picture import BokehOptions, check_bokeh
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import Problem
 from telewide.cores import Device
-from telewide.depth.export import DEFAULT_FORMATS
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, is_file
@@ -51,7 +50,7 @@ class DepthOptions:
         known: a point of known distance, or None.
         trusts_focus: whether the distance that EXIF states for the focus is that of the photo's middle.
         only: names of the captures to take; empty for all.
-        formats: of the depth files, the npz among them.
+        formats: of the depth files, the npz among them; None for those that lie there, the usual ones where none do.
         is_stripped: whether the depth files are to say nothing of the photo; the bokeh has an option of its own.
     """
 
@@ -64,7 +63,7 @@ class DepthOptions:
     known: KnownDistance | None = None
     trusts_focus: bool = False
     only: tuple[str, ...] = ()
-    formats: tuple[str, ...] = DEFAULT_FORMATS
+    formats: tuple[str, ...] | None = None
     is_stripped: bool = False
 
 

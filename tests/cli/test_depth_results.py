@@ -189,6 +189,30 @@ def test_a_page_of_one_of_many_names_the_call_that_shows_all(
     assert "--only" not in said.partition("to see all")[2].partition("depth of")[0]
 
 
+def test_another_bokeh_leaves_the_depth_files_and_a_picture_that_cannot_be_made_the_earlier_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A PNG has no linear light for an EXR."""
+    captures, run = tmp_path / "captures", tmp_path / "run"
+    write_captures(captures, count=1, seed=1, hw=(96, 144), factor=2)
+    depth(captures, run, "--bokeh", "--format", "mm,tiff,grey", "--strip")
+    made = {path.name: path.read_bytes() for path in (run / "depth" / "000").iterdir()}
+    assert {"bokeh.jpg", "photo_depth.png"} <= made.keys()
+    capsys.readouterr()
+    depth(captures, run, "--bokeh", "--picture", "exr")
+    assert "bokeh.exr left out" in capsys.readouterr().err
+    for words in ((), ("--bokeh", "--focus", "near")):
+        depth(captures, run, *words)
+        now = {path.name: path.read_bytes() for path in (run / "depth" / "000").iterdir()}
+        assert now.keys() == made.keys()
+        assert [name for name in now if now[name] != made[name] and name not in {"bokeh.jpg", "depth.json"}] == []
+        assert (now["bokeh.jpg"] != made["bokeh.jpg"]) is bool(words)
+    depth(captures, run, "--format", "pfm")
+    assert {path.name for path in (run / "depth" / "000").iterdir()} == {
+        *("bokeh.jpg", "depth.json", "depth.npz", "disparity.pfm", "preview.png")
+    }
+
+
 def depth(captures: Path, run: Path, *words: str) -> None:
     """Call ``telewide depth``."""
     with pytest.raises(SystemExit) as left:
