@@ -42,3 +42,23 @@ def test_without_a_page_the_commands_that_write_one_are_named(
     told = capsys.readouterr().err
     assert "report.html does not exist" in told
     assert "telewide depth" in told
+
+
+def test_beside_the_run_folder_its_page_is_opened(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/report.html").write_text("<html></html>")
+    done = viewed(Path(), tmp_path, browser="true %s")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "run/report.html"
+
+
+def test_folders_that_hold_a_page_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("beach", "my photos"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.html").write_text("<html></html>")
+    with pytest.raises(SystemExit) as left:
+        main(["view", str(tmp_path)])
+    assert left.value.code == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert f"telewide view {tmp_path}/beach" in told
+    assert f"telewide view '{tmp_path}/my photos'" in told
