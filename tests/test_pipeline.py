@@ -112,7 +112,7 @@ class TestFiles:
             assert disparity_px[y, x] == pytest.approx(numbers["focus_px"], abs=0.5)
             note = next(note for note in kept["notes"] if "bokeh" in note)
             assert note.startswith(f"{folder.name}: bokeh is focused on x {x}, y {y}")
-            assert f"{numbers['focus_px']:.1f} px" in note
+            assert f"{disparity_px[y, x]:.1f} px" in note
 
     def test_the_run_records_what_was_asked_for(self, matched: Path, simulated: Path) -> None:
         record = json.loads((matched.parent / "run.json").read_text())["commands"]["depth"]

@@ -164,13 +164,20 @@ def why_no_bokeh(options: BokehOptions, *, baseline_m: float | None, has_metres:
 
 
 def focus_note(
-    name: str, focus: Focus, *, depth_m: float | None, options: BokehOptions, std_m: float | None = None
+    name: str,
+    focus: Focus,
+    *,
+    place_px: float,
+    depth_m: float | None,
+    options: BokehOptions,
+    std_m: float | None = None,
 ) -> str:
     """Say what a bokeh picture is focused on, so that its owner can choose another place.
 
     Args:
         name: of the capture.
         focus: what was found.
+        place_px: disparity of its point, as maps and page have it: its plane lies in the middle of a surface.
         depth_m: distance of that place, m; None where it is not known.
         options: what was asked for.
         std_m: standard deviation of the distance, m; None likewise.
@@ -194,7 +201,7 @@ def focus_note(
         way = f"its EXIF names no place, so {ways['auto']}" if focus.sharp_px else "the place that its EXIF names"
     why = f" ({way})" if way else ""
     place = f"x {focus.x_px}, y {focus.y_px}"
-    return f"{name}: bokeh is focused on {place}{distance}, disparity {focus.disparity_px:.1f} px{why}"
+    return f"{name}: bokeh is focused on {place}{distance}, disparity {place_px:.1f} px{why}"
 
 
 def bokeh_picture(

@@ -22,12 +22,13 @@ from telewide.bokeh.render import LARGEST_RADIUS_SHARE, radius_per_px_from_f_num
 from telewide.depth.preview import disparity_panel
 from telewide.depth.result import FARTHEST_M, DepthResult
 from telewide.drawing import fitted_wh, scaled_image
-from telewide.geometry.arrays import ByteImage, FloatImage, FloatMap
+from telewide.geometry.arrays import ByteImage, FloatArray, FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap, resize_disparity
 
 LONGEST_PX = 1200
-STEPS = 4095
-"""Disparity is shown to so many parts of its range: what lies below is noise, and takes half of the file."""
+STEPS, FEWEST_PARTS, MOST_STEPS = 4095, 3, 65535
+"""Disparity is shown to so many parts of its range: what lies below is noise, and takes half of the file; a tenth of a px
+has a few parts, of however wide a range, as long as 16 bits hold them."""
 MOST_BYTES = 5_800_000
 """Of one capture in the page, base64 included."""
 DEFAULT_F_NUMBER, DEFAULT_LIGHTS = 1.8, 4.0
@@ -95,15 +96,15 @@ def viewed_capture(
     wh = shown_wh((width, height))
     small, maps = framed(photo, wh=wh), _resized(disparity, wh=wh)
     levels = sort_by_level(small, maps.disparity_px)
-    known = np.isfinite(maps.disparity_px)
-    low_px, high_px = float(maps.disparity_px[known].min()), float(maps.disparity_px[known].max())
+    in_photo_px = maps.disparity_px.astype(np.float64) * (width / wh[0])
+    lowest_px, step_px = _steps_of(in_photo_px)
     opens = _default_opening(maps, metric) if opening is None else _made_smaller(opening, wh[0] / width)
     result = DepthResult(name=name, disparity=maps)
     pictures = {"tele": small, **{label: framed(other, wh=wh) for label, other in others.items()}}
     pictures["disparity"] = disparity_panel(result, wh=wh)
     lights = np.round(255 * light_share(small)).astype(np.uint8)
     by_level = np.dstack([levels.level, levels.hidden_level, lights])
-    maps_png = {"levels": _png(by_level), "map": _png(_packed(maps, low_px, high_px))}
+    maps_png = {"levels": _png(by_level), "map": _png(_packed(maps, (in_photo_px - lowest_px) / step_px))}
     return {
         "name": name,
         "wh": list(wh),
@@ -113,8 +114,8 @@ def viewed_capture(
         "levelEnds": list(levels.ends_px),
         "levelCount": COUNT,
         "jump": JUMP,
-        "mapEnds": [low_px, high_px],
-        "mapSteps": STEPS,
+        "mapSteps": [lowest_px, step_px],
+        "opensAt": None if opening is None else _place(opening.focus, disparity),
         **_told_of(opens, metric),
         "capPx": LARGEST_RADIUS_SHARE * min(small.shape[:2]),
         "metric": None if metric is None else [metric.scale_px_m, metric.doffs_px, metric.baseline_m, FARTHEST_M],
@@ -196,15 +197,37 @@ def _resized(disparity: DisparityMap, *, wh: tuple[int, int]) -> DisparityMap:
     )
 
 
-def _packed(maps: DisparityMap, low_px: float, high_px: float) -> ByteImage:
+def _place(focus: Focus, disparity: DisparityMap) -> list[float] | None:
+    """Point of a focus and its disparity, px of the photo; None where nothing is known of it."""
+    height, width = disparity.disparity_px.shape
+    if not (0 <= focus.x_px < width and 0 <= focus.y_px < height):
+        return None
+    there_px = float(disparity.disparity_px[focus.y_px, focus.x_px])
+    return [focus.x_px, focus.y_px, there_px] if math.isfinite(there_px) else None
+
+
+def _steps_of(disparity_px: FloatArray) -> tuple[float, float]:
+    """Tell the lowest disparity that the page can show and its step, px.
+
+    An odd number of steps makes a tenth, and one lies on each tenth: rounded to steps first, a disparity is the same in
+    tenths as rounded at once, so that the page says what the command says.
+    """
+    lowest, highest = math.floor(10 * np.nanmin(disparity_px)), math.ceil(10 * np.nanmax(disparity_px))
+    tenths = max(highest - lowest, 1)
+    parts = max(STEPS // tenths, FEWEST_PARTS)
+    if parts * tenths > MOST_STEPS:
+        return lowest / 10, tenths / 10 / MOST_STEPS
+    return lowest / 10, 1 / (10 * (parts - 1 + parts % 2))
+
+
+def _packed(maps: DisparityMap, steps: FloatArray) -> ByteImage:
     """Disparity in red (upper) and green (lower bits), confidence in blue; blue 0 was not measured, 255 unknown."""
-    share = (maps.disparity_px - low_px) / max(high_px - low_px, 1e-6)
-    steps = np.round(np.nan_to_num(share, nan=0.0) * STEPS).astype(np.uint16)
+    number = np.round(np.nan_to_num(steps, nan=0.0)).astype(np.uint16)
     known = np.clip(np.nan_to_num(maps.confidence), 0, 1)
     confidence = np.round(np.round(known * _CONFIDENCE_STEPS) / _CONFIDENCE_STEPS * 253) + 1
     confidence = np.where(maps.valid, confidence, 0)
     confidence = np.where(np.isfinite(maps.disparity_px), confidence, 255)
-    return np.dstack([steps >> 8, steps & 255, confidence]).astype(np.uint8)
+    return np.dstack([number >> 8, number & 255, confidence]).astype(np.uint8)
 
 
 def _encoded(pictures: Mapping[str, FloatImage], *, hidden: FloatImage, most_bytes: int) -> dict[str, object]:

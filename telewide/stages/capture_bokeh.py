@@ -104,7 +104,8 @@ def bokeh_of_capture(
     numbers = _focus_numbers(focus, result)
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
-    note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=options)
+    place_px = float(maps.disparity_px[focus.y_px, focus.x_px])
+    note = focus_note(result.name, focus, place_px=place_px, depth_m=depth_m, std_m=std_m, options=options)
     if not focus.is_on_surface:
         numbers["focus_m"] = named_distance_m(options.focus) or math.nan
         numbers.pop("focus_std_m", None)

@@ -103,7 +103,7 @@ def test_a_distance_at_which_nothing_is_says_so_and_contradicts_itself_in_nothin
     """Behind everything, before everything, and between the person and the wall."""
     found = find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: 30 / depth_m - 8)
     assert not found.is_on_surface
-    note = focus_note("000", found, depth_m=1.5, options=BokehOptions(focus=focus))
+    note = focus_note("000", found, place_px=found.disparity_px, depth_m=1.5, options=BokehOptions(focus=focus))
     assert f"focused {focus[:-1]} m away, where nothing is" in note
     assert f"nearest to that is x {found.x_px}, y {found.y_px}, 1.50 m away" in note
 
@@ -237,10 +237,10 @@ def test_the_place_lies_on_the_plane_of_focus(scene_px: np.ndarray) -> None:
 
 
 def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() -> None:
-    note = focus_note("000", Focus(12.34, 80, 60), depth_m=1.5, options=BokehOptions())
+    note = focus_note("000", Focus(12.1, 80, 60), place_px=12.34, depth_m=1.5, options=BokehOptions())
     for words in ("000", "x 80, y 60", "1.50 m", "12.3 px", "`focus`"):
         assert words in note
-    pointed = focus_note("000", Focus(12.34, 80, 60), depth_m=None, options=BokehOptions(focus="80,60"))
+    pointed = focus_note("000", Focus(12.1, 80, 60), place_px=12.34, depth_m=None, options=BokehOptions(focus="80,60"))
     assert " m away" not in pointed
     assert "`focus`" not in pointed
 
@@ -256,5 +256,5 @@ def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() ->
     ],
 )
 def test_how_sure_a_distance_is_stands_beside_it(std_m: float | None, told: str) -> None:
-    note = focus_note("000", Focus(12.34, 80, 60), depth_m=0.3, std_m=std_m, options=BokehOptions())
+    note = focus_note("000", Focus(12.1, 80, 60), place_px=12.34, depth_m=0.3, std_m=std_m, options=BokehOptions())
     assert note.startswith(f"000: bokeh is focused on x 80, y 60{told}, disparity 12.3 px")

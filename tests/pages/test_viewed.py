@@ -55,14 +55,31 @@ def told_of(*, metric: Metric | None = None, times: int = 1) -> dict[str, object
 def test_disparity_and_confidence_come_back_from_the_map() -> None:
     told, (_, disparity) = told_of(), scene()
     red, green, blue = (levels_of(told["map"])[..., k].astype(int) for k in range(3))
-    low_px, high_px = told["mapEnds"]  # type: ignore[misc]
-    seen_px = low_px + (256 * red + green) / STEPS * (high_px - low_px)
+    lowest_px, step_px = told["mapSteps"]  # type: ignore[misc]
+    seen_px = lowest_px + (256 * red + green) * step_px
     known = np.isfinite(disparity.disparity_px)
-    np.testing.assert_allclose(seen_px[known], disparity.disparity_px[known], atol=0.51 * (high_px - low_px) / STEPS)
+    assert step_px < 1.1 * (20 - 4) / STEPS
+    np.testing.assert_allclose(seen_px[known], disparity.disparity_px[known], atol=0.51 * step_px)
     np.testing.assert_array_equal(blue == 255, ~known)
     np.testing.assert_array_equal(blue == 0, ~disparity.valid & known)
     measured = known & disparity.valid
     np.testing.assert_allclose((blue[measured] - 1) / 253, 0.6, atol=0.012)
+
+
+@pytest.mark.parametrize(("low_px", "high_px"), [(-0.73, 0.61), (3.04, 41.27), (-80.2, 210.9), (12.34, 12.34)])
+def test_the_page_and_the_command_round_disparity_alike(
+    rng: np.random.Generator, low_px: float, high_px: float
+) -> None:
+    """Rounded to the page's steps first and to tenths then, each value is as Python prints it at once."""
+    disparity_px = rng.uniform(low_px, high_px, (80, 120)).astype(np.float32)
+    maps = DisparityMap(disparity_px, np.ones_like(disparity_px), np.ones(disparity_px.shape, np.bool_))
+    told = viewed_capture(np.zeros((80, 120, 3), np.float32), maps, others={}, metric=None, name="one")
+    red, green, _ = np.moveaxis(levels_of(told["map"]).astype(int), 2, 0)
+    lowest_px, step_px = told["mapSteps"]  # type: ignore[misc]
+    seen_px = lowest_px + (256 * red + green) * step_px
+    is_tie = np.abs(disparity_px.astype(float) * 10 % 1 - 0.5) < 1e-4
+    printed = [[f"{value:.1f}" for value in values[~is_tie]] for values in (seen_px, disparity_px)]
+    assert [word.replace("-0.0", "0.0") for word in printed[0]] == [word.replace("-0.0", "0.0") for word in printed[1]]
 
 
 def test_large_photos_are_made_smaller_and_their_disparities_with_them() -> None:
@@ -82,6 +99,7 @@ def test_the_page_opens_with_the_bokeh_that_was_made() -> None:
     told = viewed_capture(photo, disparity, others={}, metric=None, name="one", opening=opening)
     scale = LONGEST_PX / photo.shape[1]
     assert told["focus"] == [600, 400]
+    assert told["opensAt"] == [900, 600, 20.0]
     np.testing.assert_allclose([told["focusPx"], *told["sharpPx"]], np.array([20.0, 19.0, 21.0]) * scale)  # type: ignore[misc]
     assert [told[name] for name in ("radiusPerPx", "fNumber", "lights")] == [0.7, 2.8, 9.0]
     assert [told[name] for name in ("blades", "curvature", "turnRad")] == [7, 0.3, np.pi]

@@ -176,6 +176,8 @@ def test_it_opens_with_the_bokeh_that_was_made(tmp_path: Path) -> None:
     with page_in_browser(path) as page:
         page.wait_for_selector(DONE, timeout=120_000)
         assert psnr(pixels(page), np.clip(expected, 0, 1)) > 38
+        place = f"x {focus.x_px}, y {focus.y_px} \N{MIDDLE DOT} {disparity_px[focus.y_px, focus.x_px]:.1f} px"
+        assert page.inner_text("#readout").startswith(place)
         words = [page.inner_text(f"#{name}") for name in ("number", "bladesWord", "lightsWord")]
         assert words == ["f/2.2", "6", "\N{MULTIPLICATION SIGN} 5"]
         turn(page, "stop", 12)

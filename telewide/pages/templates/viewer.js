@@ -229,18 +229,21 @@ function extent() {
   return `From ${inMetres(near)} to ${far === Infinity ? "very far" : inMetres(far)}.`;
 }
 
+// Disparity in px of the photo and of the page's picture. The place it opens with is told as the command tells it.
 function disparityAt(x, y) {
   const told = scene.told, at = 4 * (y * told.wh[0] + x), [red, green, blue] = scene.map.subarray(at, at + 3);
-  if (blue === 255) return { disparity: null, confidence: null };
-  const share = (256 * red + green) / told.mapSteps;
-  return { disparity: told.mapEnds[0] + share * (told.mapEnds[1] - told.mapEnds[0]),
-    confidence: blue === 0 ? null : (blue - 1) / 253 };
+  const confidence = blue === 0 || blue === 255 ? null : (blue - 1) / 253;
+  const opens = told.opensAt && x === told.focus[0] && y === told.focus[1] ? told.opensAt : null;
+  const place = opens || [x, y].map((each) => Math.round((each + 0.5) * told.photoPx - 0.5));
+  if (blue === 255 && !opens) return { place, inPhoto: null, disparity: null, confidence };
+  const inPhoto = opens ? opens[2] : told.mapSteps[0] + (256 * red + green) * told.mapSteps[1];
+  return { place, inPhoto, disparity: inPhoto / told.photoPx, confidence };
 }
 
 function readOut(x, y) {
-  const { disparity, confidence } = disparityAt(x, y), photo = scene.told.photoPx, away = disparity === null ? null : metres(disparity);
-  const words = [`x ${Math.round((x + 0.5) * photo - 0.5)}, y ${Math.round((y + 0.5) * photo - 0.5)}`];
-  words.push(disparity === null ? "not known" : `${(disparity * photo).toFixed(1)} px`);
+  const { place, inPhoto, disparity, confidence } = disparityAt(x, y), away = disparity === null ? null : metres(disparity);
+  const words = [`x ${place[0]}, y ${place[1]}`];
+  words.push(inPhoto === null ? "not known" : `${inPhoto.toFixed(1)} px`);
   if (away !== null) words.push(away === Infinity ? "too far to tell" : inMetres(away));
   words.push(confidence === null ? "filled in, not measured" : `confidence ${(100 * confidence).toFixed(0)} %`);
   byId("readout").textContent = words.join(" · ");
