@@ -27,8 +27,8 @@ from telewide.geometry.stereo import DisparityMap, resize_disparity
 
 LONGEST_PX = 1200
 STEPS, FEWEST_PARTS, MOST_STEPS = 4095, 3, 65535
-"""Disparity is shown to so many parts of its range: what lies below is noise, and takes half of the file; a tenth of a px
-has a few parts, of however wide a range, as long as 16 bits hold them."""
+"""Disparity is shown to so many parts of its range: what lies below is noise, and takes half of the file. A tenth of a
+px has a few parts, however wide the range, as long as 16 bits hold them."""
 MOST_BYTES = 5_800_000
 """Of one capture in the page, base64 included."""
 DEFAULT_F_NUMBER, DEFAULT_LIGHTS = 1.8, 4.0

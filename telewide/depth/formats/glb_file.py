@@ -6,6 +6,7 @@ glTF wants y up and looks along -z, so tele's frame (x right, y down, z forward)
 
 from __future__ import annotations
 
+import math
 from io import BytesIO
 from pathlib import Path
 
@@ -20,6 +21,8 @@ MESH_LONGEST_PX = 800
 TEXTURE_LONGEST_PX = 2048
 CUT_SHARE = 0.04
 """Corners of a triangle whose depths differ by a larger share lie on two surfaces; as MoGe cuts its meshes."""
+LEAST_CUT_PX = 0.25
+"""Disparities of such corners differ by so much at least, px of the mesh: far away, less than that is noise."""
 _GLTF_FROM_TELE = np.array([1, -1, -1], dtype=np.float32)
 
 
@@ -28,7 +31,7 @@ def write_glb(folder: Path, contents: Contents) -> WrittenDepth:
     at_m = positions_m(contents, longest_px=MESH_LONGEST_PX)
     if at_m is None or contents.image is None:
         return contents.left_out(GLB_NAME, NO_METRES)
-    triangles = surface_triangles(at_m[..., 2])
+    triangles = surface_triangles(at_m[..., 2], px_m=_px_m(contents, at_m.shape[1]))
     if not len(triangles):
         return contents.left_out(GLB_NAME, "no three neighbours lie on one surface")
     from trimesh import Trimesh
@@ -46,11 +49,20 @@ def write_glb(folder: Path, contents: Contents) -> WrittenDepth:
     return written_whole(folder / GLB_NAME, mesh.export(file_type="glb"))
 
 
-def surface_triangles(depth_m: FloatMap) -> IntArray:
+def _px_m(contents: Contents, width: int) -> float:
+    """Disparity at 1 m, px of a mesh of a width; infinite where the distance of the lenses is not known."""
+    result = contents.result
+    if result.K is None or result.baseline_m is None:
+        return math.inf
+    return float(result.K[0, 0]) * result.baseline_m * width / result.disparity.disparity_px.shape[1]
+
+
+def surface_triangles(depth_m: FloatMap, *, px_m: float) -> IntArray:
     """Join neighbours into triangles, two a square, but for those that reach from one surface to another.
 
     Args:
         depth_m: (h, w), m; NaN where unknown.
+        px_m: disparity at 1 m, px of this map.
 
     Returns:
         (M, 3) int64 flat indices, anticlockwise as the camera sees them.
@@ -59,8 +71,9 @@ def surface_triangles(depth_m: FloatMap) -> IntArray:
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     triangles = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
     corners_m = depth_m.ravel()[triangles]
+    near_m, far_m = corners_m.min(axis=1), corners_m.max(axis=1)
     with np.errstate(invalid="ignore"):
-        is_one = corners_m.max(axis=1) <= corners_m.min(axis=1) * (1 + CUT_SHARE)
+        is_one = (far_m <= near_m * (1 + CUT_SHARE)) | (px_m * (1 / near_m - 1 / far_m) < LEAST_CUT_PX)
     return np.asarray(triangles[is_one], dtype=np.int64)
 
 
