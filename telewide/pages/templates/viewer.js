@@ -6,7 +6,9 @@ const scenes = [...document.querySelectorAll("script[data-scene]")];
 if (!root || !scenes.length) return;
 const byId = (id) => document.getElementById(id);
 const canvas = byId("picture"), stage = root.querySelector(".stage"), pair = root.querySelector(".stage .comparing");
-const LEAST = 192, MOST = 960, FIRST = 8; // lens points of a finished picture, more of a large blur; of the first frame
+// Lens points of a finished picture, more of a large blur, and of the first frame: a click waits for the frame that is drawn,
+// where the processor draws it for half a second a point.
+const LEAST = 192, MOST = 960, FIRST = 2;
 const VERTEX = `#version 300 es
 void main() { gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) * 2.0 - 1.0, 0, 1); }`;
 // Each lens point sees the levels shifted by their blur radius; the nearest that is there hides the others. Where a level
