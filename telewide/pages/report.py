@@ -97,10 +97,17 @@ class CaptureLink:
 
 @dataclass(frozen=True)
 class NextStep:
-    """Something worth doing now: a sentence, and the command that does it."""
+    """Something worth doing now.
+
+    Attributes:
+        text: a sentence.
+        command: what does it.
+        by_capture: what does it for one capture alone, by its name; the page shows it beside that capture.
+    """
 
     text: str
     command: str
+    by_capture: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -178,7 +185,7 @@ def write_report(
         title=title,
         summary=summary,
         rows=rows,
-        scenes=[_Scene(row.name, row.pictures[0], _told(row)) for row in rows if row.viewed is not None],
+        scenes=[_Scene(row.name, row.pictures[0], _told(row, next_steps)) for row in rows if row.viewed is not None],
         others=others,
         index=index,
         table=_table(rows),
@@ -189,8 +196,13 @@ def write_report(
     )
 
 
-def _told(row: ReportRow) -> dict[str, object]:
-    return {**(row.viewed or {}), "notes": [with_options(note) for note in row.notes], "madeBy": row.made_by}
+def _told(row: ReportRow, next_steps: Sequence[NextStep]) -> dict[str, object]:
+    return {
+        **(row.viewed or {}),
+        "notes": [with_options(note) for note in row.notes],
+        "madeBy": row.made_by,
+        "next": [step.by_capture.get(row.name, step.command) for step in next_steps],
+    }
 
 
 def _table(rows: Sequence[ReportRow]) -> _Table | None:

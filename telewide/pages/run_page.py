@@ -218,39 +218,61 @@ def is_page(path: Path) -> bool:
         return False
 
 
-def steps_after_depth(invocation: Invocation) -> tuple[NextStep, ...]:
+def steps_after_depth(invocation: Invocation, *, calls: Mapping[str, Invocation]) -> tuple[NextStep, ...]:
     """Steps to take after depth alone.
 
     Args:
         invocation: the command that was typed.
+        calls: the same on one capture, by its name.
     """
-    near = invocation.again(bokeh=True, focus="near")
-    files = invocation.again(format="all")
-    return (
-        NextStep("Bokeh as a file, focused on the nearest thing or on a point (--focus 120,80):", near),
-        NextStep("Depth for other programs:", files),
-    )
+
+    def near(call: Invocation) -> str:
+        return call.again(bokeh=True, focus="near")
+
+    def files(call: Invocation) -> str:
+        return call.again(format="all")
+
+    focus = "Bokeh as a file, focused on the nearest thing or on a point (--focus 120,80):"
+    return _step(focus, near, invocation, calls), _step("Depth for other programs:", files, invocation, calls)
 
 
-def next_steps(root: Path, *, recipe: Recipe, invocation: Invocation, is_box: bool = False) -> tuple[NextStep, ...]:
+def next_steps(
+    root: Path,
+    *,
+    recipe: Recipe,
+    invocation: Invocation,
+    calls: Mapping[str, Invocation],
+    is_box: bool = False,
+) -> tuple[NextStep, ...]:
     """Steps to take after a run, each with a command that can be pasted into a shell.
 
     Args:
         root: the run folder.
         recipe: it was trained with; a longer training is advised where the default recipe has more steps.
         invocation: the command that was typed.
+        calls: the same on one capture, by its name.
         is_box: whether the training has made nothing better than the network that comes with telewide.
     """
+
+    def near(call: Invocation) -> str:
+        return call.instead("depth", run=root, only=call.options.get("only"), bokeh=True, focus="near")
+
     steps = []
     if _training_steps(recipe) < _training_steps(load_recipe(DEFAULT_RECIPE)):
         longer = invocation.instead("run", out=f"{root}-{DEFAULT_RECIPE}", recipe=None, set=None)
         more = "; so may more captures" if is_box else ""
         steps.append(NextStep(f"Train longer, which may help{more}:", longer))
-    near = invocation.instead("depth", run=root, bokeh=True, focus="near")
-    steps.append(NextStep("Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):", near))
+    focus = "Focus on the nearest thing, or on a point of the tele photo (--focus 120,80):"
+    steps.append(_step(focus, near, invocation, calls))
     own = command_line("run", "my-captures/")
     steps.append(NextStep("Your own photos, once telewide calibrate has made a rig of your lenses:", own))
     return tuple(steps)
+
+
+def _step(
+    text: str, command: Callable[[Invocation], str], typed: Invocation, calls: Mapping[str, Invocation]
+) -> NextStep:
+    return NextStep(text, command(typed), {name: command(call) for name, call in calls.items()})
 
 
 def training_curves(log: Path) -> tuple[Curve, ...]:

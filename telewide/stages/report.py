@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +26,10 @@ from telewide.stages.depth import DepthRun
 from telewide.stages.lying_depth import LyingDepth, lying_depths, names_lying
 from telewide.stages.provenance import facts_of_call, made_by, notes_of
 from telewide.stages.training_result import read_result
+from telewide.text import Invocation
+
+_OF_ONE = {"preview": None, "distance": None}
+"""Options of a call that are not for other captures."""
 
 
 def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> DepthRun:
@@ -41,17 +45,17 @@ def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> 
     """
     trained = read_result(call.folder)
     is_box = trained is not None and trained.is_box
-    steps = next_steps(call.folder.root, recipe=call.recipe, invocation=call.invocation, is_box=is_box)
+    steps = partial(next_steps, call.folder.root, recipe=call.recipe, invocation=call.invocation, is_box=is_box)
     return _written(call, done, summary=call.recipe.description, steps=steps, bokeh=bokeh)
 
 
 def report_depth(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> DepthRun:
     """Write the page about depths that were asked for alone; as :func:`report`."""
-    return _written(call, done, summary="", steps=steps_after_depth(call.invocation), bokeh=bokeh)
+    return _written(call, done, summary="", steps=partial(steps_after_depth, call.invocation), bokeh=bokeh)
 
 
 def _written(
-    call: Call, done: DepthRun, *, summary: str, steps: tuple[NextStep, ...], bokeh: BokehOptions | None
+    call: Call, done: DepthRun, *, summary: str, steps: Callable[..., tuple[NextStep, ...]], bokeh: BokehOptions | None
 ) -> DepthRun:
     """Write the page beside the folder of the depths, or in it where its user named it; one process does."""
     if not call.processes.is_writer:
@@ -61,13 +65,14 @@ def _written(
         return done
     trained = read_result(call.folder)
     others = _others(call, done)
+    names = sorted([*(outcome.name for outcome in done.outcomes), *(other.capture.name for other in others)])
     page = write_run_page(
         root,
         _rows(call, done, others, root=root, bokeh=bokeh),
-        names=sorted([*(outcome.name for outcome in done.outcomes), *(other.capture.name for other in others)]),
+        names=names,
         log=call.folder.training_log,
         summary=summary,
-        next_steps=steps,
+        next_steps=steps(calls=_calls_on_one(call, names)),
         result="" if trained is None else f"Its result: {trained.told}.",
         facts=facts_of_call(call),
     )
@@ -101,12 +106,30 @@ def _others(call: Call, done: DepthRun) -> tuple[LyingDepth, ...]:
 
 def _how_to_show_all(call: Call) -> str:
     """Name the call on the whole folder, where this one was on a part of it."""
-    root, captures, one_call = call.captures.root, call.captures.captures, {"preview": None, "distance": None}
     if call.invocation.options.get("only"):
-        return f"; to see all: {call.invocation.again(only=None, **one_call)}"
-    if len(captures) == 1 and captures[0].name == root.absolute().name:
-        return f"; to see all: {call.invocation.instead(call.invocation.command, root.parent, **one_call)}"
+        return f"; to see all: {call.invocation.again(only=None, **_OF_ONE)}"
+    if _is_on_its_folder(call):
+        return f"; to see all: {call.invocation.instead(call.invocation.command, call.captures.root.parent, **_OF_ONE)}"
     return ""
+
+
+def _is_on_its_folder(call: Call) -> bool:
+    """Whether a call was on the folder of a capture, which lies among others."""
+    captures = call.captures.captures
+    return len(captures) == 1 and captures[0].name == call.captures.root.absolute().name
+
+
+def _calls_on_one(call: Call, names: Sequence[str]) -> dict[str, Invocation]:
+    """Tell by which calls each of some captures is made alone; none of a single one, which the call was on."""
+    if len(names) < 2:
+        return {}
+    typed, is_alone = call.invocation, _is_on_its_folder(call)
+    words = (call.captures.root.parent,) if is_alone else typed.words
+    calls = {name: replace(typed, words=words, options={**typed.options, "only": name, **_OF_ONE}) for name in names}
+    own = [capture.name for capture in call.captures.captures]
+    if len(own) == 1:
+        calls[own[0]] = typed
+    return calls
 
 
 def _rows(

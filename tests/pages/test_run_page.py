@@ -30,7 +30,7 @@ RIG = Path("my rigs/phone.yaml")
 def commands(recipe: Recipe, *, rig: Path | None) -> dict[str, list[str]]:
     """The words of each command, by its subcommand and captures."""
     typed = Invocation("run", ("my captures",), {"out": "my run", "rig": rig, "recipe": "quick", "seed": 5})
-    steps = next_steps(Path("my run"), recipe=recipe, invocation=typed)
+    steps = next_steps(Path("my run"), recipe=recipe, invocation=typed, calls={})
     words = [shlex.split(step.command) for step in steps]
     assert all(word[0] == "telewide" for word in words)
     return {" ".join(word[1:3]): word[1:] for word in words}

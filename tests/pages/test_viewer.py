@@ -49,7 +49,8 @@ def page_of(tmp_path: Path, *, metric: Metric | None, opening: Opening | None = 
     told = viewed_capture(photo, maps, others={"wide": photo[::-1]}, metric=metric, name="wheel", opening=opening)
     rows = [ReportRow(name, (thumbnail("tele", photo),), {"a rather long heading, px": 1.5}, told) for name in "ab"]
     command = "telewide depth " + "a/very/long/folder/name/" * 12
-    path = write_report(tmp_path / "report.html", rows, title="Page", next_steps=[NextStep("Next:", command)])
+    steps = [NextStep("Next:", command, {name: f"{command} --only {name}" for name in "ab"}), NextStep("Then:", "all")]
+    path = write_report(tmp_path / "report.html", rows, title="Page", next_steps=steps)
     return path, told
 
 
@@ -351,10 +352,13 @@ def _beside_in_row(disparity_px: FloatMap, least_px: float) -> np.ndarray:
 
 
 def test_the_strip_changes_the_capture(opened: Any) -> None:
+    """What next goes with it."""
+    assert [call[-8:] for call in opened.locator("#next code").all_inner_texts()] == ["--only a", "all"]
     second = opened.locator("#strip button").nth(1)
     second.click()
-    opened.wait_for_function("document.querySelectorAll('#strip [aria-current=true]').length === 1")
-    assert second.get_attribute("aria-current") == "true"
+    opened.wait_for_selector("#strip button:nth-child(2)[aria-current=true]")
+    assert opened.locator("#strip [aria-current=true]").count() == 1
+    assert [call[-8:] for call in opened.locator("#next code").all_inner_texts()] == ["--only b", "all"]
 
 
 def test_the_index_leads_to_captures_and_their_notes(tmp_path: Path) -> None:

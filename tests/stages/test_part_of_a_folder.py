@@ -6,6 +6,7 @@ import hashlib
 import html
 import json
 import re
+import shlex
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -145,6 +146,31 @@ def test_a_bokeh_that_was_not_stripped_is_named_beside_stripped_files(folder: Pa
     assert "still there" not in said(*one, "--bokeh", "--strip")
     assert "still there" not in said(*one, "--format", "grey", "--strip"), "it is stripped as well"
     assert (folder / "run" / "depth" / "002" / "bokeh.jpg").is_file()
+
+
+@pytest.mark.parametrize("part", [("captures/002",), ("captures", "--only", "002")])
+def test_what_next_names_the_capture_that_is_shown(folder: Path, said: Said, part: tuple[str, ...]) -> None:
+    """After a call on one, beside which the page shows the others; each command is taken, and makes that capture's."""
+    said("captures", "--bokeh", "--strength", "2")  # from the copies of the photos
+    said(*part, "--bokeh", "--strength", "3")
+    page = (folder / "run" / "report.html").read_text()
+    found = re.findall(r'<script type="application/json" data-scene="(\d+)">(.*?)</script>', page, re.DOTALL)
+    calls = {name: [shlex.split(call)[1:] for call in json.loads(told)["next"]] for name, told in found}
+    assert sorted(calls) == ["000", "001", "002"]
+    assert [words[1] for words in calls["002"]] == [str(folder / part[0])] * 2
+    for name in ("000", "001"):
+        for words in calls[name]:
+            assert words[:2] == ["depth", str(folder / "captures")]
+            assert words[words.index("--only") + 1] == name
+    with pytest.raises(SystemExit) as left:
+        main(calls["001"][0])
+    assert not left.value.code
+    focus = {name: read_kept_focus(folder, name) for name in calls}
+    assert focus == {"000": "auto", "001": "near", "002": "auto"}
+
+
+def read_kept_focus(folder: Path, name: str) -> object:
+    return json.loads((folder / "run" / "depth" / name / "depth.json").read_text())["key"]["bokeh"]["focus"]
 
 
 def test_the_page_says_what_made_each_depth_and_what_was_said_of_it(folder: Path, said: Said) -> None:

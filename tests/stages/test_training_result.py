@@ -72,7 +72,7 @@ def test_facts_of_another_kind_are_unknown(tmp_path: Path) -> None:
 def test_the_page_says_what_a_training_led_to_and_hopes_for_no_more(tmp_path: Path) -> None:
     told = TrainingResult("rehearsal", 0, 0.4, is_box=True).told
     typed = Invocation("run", ("captures",), {"recipe": "quick"})
-    steps = next_steps(tmp_path, recipe=load_recipe("quick"), invocation=typed, is_box=True)
+    steps = next_steps(tmp_path, recipe=load_recipe("quick"), invocation=typed, calls={}, is_box=True)
     (tmp_path / "log.jsonl").write_text(LOG.format(0, 0.4) + LOG.format(20, 0.45))
     page = write_run_page(
         tmp_path, (), names=(), log=tmp_path / "log.jsonl", summary="", next_steps=steps, facts={}, result=told

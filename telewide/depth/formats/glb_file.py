@@ -54,7 +54,8 @@ def _px_m(contents: Contents, width: int) -> float:
     result = contents.result
     if result.K is None or result.baseline_m is None:
         return math.inf
-    return float(result.K[0, 0]) * result.baseline_m * width / result.disparity.disparity_px.shape[1]
+    shrinks = result.disparity.disparity_px.shape[1] / width
+    return float(result.K[0, 0] * result.baseline_m / shrinks)
 
 
 def surface_triangles(depth_m: FloatMap, *, px_m: float) -> IntArray:

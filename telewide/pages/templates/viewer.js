@@ -202,6 +202,7 @@ async function open(index) {
   byId("extent").textContent = extent();
   byId("notes").replaceChildren(...told.notes.map((note) => { const line = document.createElement("p"); line.textContent = note; return line; }));
   byId("madeBy").textContent = told.madeBy;
+  for (const [k, each] of document.querySelectorAll("#next code").entries()) each.textContent = told.next[k];
   for (const each of links) each.setAttribute("aria-current", String(nameIn(each.hash) === told.name));
   for (const side of ["left", "right"]) choices(byId(side), side === "left" ? "tele" : "disparity");
   setSliders();
