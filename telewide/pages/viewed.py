@@ -16,7 +16,7 @@ import numpy as np
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import Focus, find_focus
 from telewide.bokeh.hidden import COUNT, JUMP, sort_by_level
-from telewide.bokeh.highlights import light_share
+from telewide.bokeh.highlights import MAX_TIMES, light_share
 from telewide.bokeh.picture import BokehOptions, blur_per_px
 from telewide.bokeh.render import LARGEST_RADIUS_SHARE, radius_per_px_from_f_number
 from telewide.depth.preview import disparity_panel
@@ -134,6 +134,7 @@ def _told_of(opens: Opening, metric: Metric | None) -> dict[str, object]:
         "curvature": opens.aperture.curvature,
         "turnRad": math.radians(opens.aperture.rotation_deg),
         "lights": opens.lights,
+        "mostLights": MAX_TIMES,
     }
 
 

@@ -103,9 +103,8 @@ def bokeh_of_capture(
     pixels = _rendered(read_photo, result, options=options, focus=focus, wide=wide)
     numbers = _focus_numbers(focus, result)
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
-    depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
-    place_px = float(maps.disparity_px[focus.y_px, focus.x_px])
-    note = focus_note(result.name, focus, place_px=place_px, depth_m=depth_m, std_m=std_m, options=options)
+    at_px, at_m, std_m = maps.disparity_px[focus.y_px, focus.x_px], numbers.get("focus_m"), numbers.get("focus_std_m")
+    note = focus_note(result.name, focus, place_px=float(at_px), depth_m=at_m, std_m=std_m, options=options)
     if not focus.is_on_surface:
         numbers["focus_m"] = named_distance_m(options.focus) or math.nan
         numbers.pop("focus_std_m", None)

@@ -22,6 +22,7 @@ from PIL import Image
 from telewide.bokeh.aperture import Aperture
 from telewide.bokeh.focus import Focus
 from telewide.bokeh.hidden import COUNT, JUMP
+from telewide.bokeh.highlights import MAX_TIMES
 from telewide.bokeh.render import radius_per_px_from_f_number, render_bokeh
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
@@ -220,9 +221,21 @@ def test_keys_move_the_focus_and_turn_the_aperture(opened: Any) -> None:
     opened.locator("#stop").focus()
     opened.keyboard.press("End")
     assert opened.inner_text("#number") == "f/16.0"
+    opened.locator("#lights").focus()
+    opened.keyboard.press("End")
+    assert opened.inner_text("#lightsWord") == f"\N{MULTIPLICATION SIGN} {MAX_TIMES:g}"
     opened.wait_for_selector(DONE, timeout=120_000)
     outline = opened.evaluate("getComputedStyle(document.activeElement).outlineStyle")
     assert outline == "solid"
+
+
+def test_each_view_says_what_to_do_in_it(opened: Any) -> None:
+    told = {}
+    for view in ("focus", "around", "compare"):
+        opened.click(f"#views button[value={view}]")
+        told[view] = opened.locator(".side .hint:visible:not(#madeBy)").all_inner_texts()
+    assert [len(hints) for hints in told.values()] == [1, 1, 1]
+    assert [hints[0].split()[0] for hints in told.values()] == ["Click", "Drag", "Drag"]
 
 
 def test_looking_around_moves_what_is_near_against_what_is_far(opened: Any) -> None:

@@ -277,6 +277,7 @@ function setSliders() {
   const stops = 6 * Math.log2(scene.told.fNumber), set = (id, value) => { if (!turned.has(id)) byId(id).value = value; };
   byId("stop").min = Math.min(0, Math.floor(stops));
   byId("stop").max = Math.max(24, Math.ceil(stops));
+  byId("lights").max = Math.ceil(Math.log2(scene.told.mostLights));
   set("stop", stops);
   set("blades", scene.told.blades || 4);
   set("lights", Math.log2(scene.told.lights));
@@ -290,7 +291,7 @@ function aperture() {
   state.scale = told.radiusPerPx * told.fNumber / number;
   byId("stop").setAttribute("aria-valuetext", `f/${number.toFixed(1)}`);
   byId("number").textContent = `f/${number.toFixed(1)}`;
-  state.lights = value("lights", told.lights, (doublings) => Math.pow(2, doublings));
+  state.lights = value("lights", told.lights, (doublings) => Math.min(Math.pow(2, doublings), told.mostLights));
   byId("lightsWord").textContent = `× ${Number(state.lights.toFixed(1))}`;
   byId("bladesWord").textContent = blades < 5 ? "round" : String(blades);
   state.opening = { blades: blades < 5 ? 0 : blades, curvature: told.curvature, turn: told.turnRad };
