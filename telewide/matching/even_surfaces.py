@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatImage, FloatMap
 from telewide.geometry.stereo import DisparityMap
+from telewide.matching.doubt import ramp, share_within, std_of_error_px
 
 CELL_PX = 8
 SEEDS_ACROSS = 12
@@ -47,7 +47,6 @@ _AFFINE_TERMS = 3
 _AFFINE_ROUNDS, _ROUNDS = 2, 6
 _REWEIGHTINGS = 3
 _LEAST_STD_PX = 0.3
-_CONFIDENCES = (0.05, 0.9995)  # beyond them a normal deviation says nothing
 
 
 def even_surfaces(found: DisparityMap, ref: FloatImage) -> DisparityMap:
@@ -69,8 +68,7 @@ def even_surfaces(found: DisparityMap, ref: FloatImage) -> DisparityMap:
         return found
     surface_px, share = _surface_of_pieces(pieces, cells, hw=view.disparity_px.shape)
     away_px = surface_px - view.disparity_px
-    reach = np.clip(2 * np.abs(away_px) / view.tolerance_px - 1, 0, 1)
-    pull = share * (1 - reach * reach * (3 - 2 * reach)) * _openness(view)
+    pull = share * share_within(away_px, view.tolerance_px) * _openness(view)
     return DisparityMap(view.disparity_px + pull * away_px, found.confidence, found.valid)
 
 
@@ -101,7 +99,7 @@ class _View:
         slope = _slope(ref)
         is_steep = cv2.dilate(slope, np.ones((CELL_PX + 3, CELL_PX + 3))) >= STEEP
         sure = _mean_around(found.confidence, 2 * CELL_PX + 1)
-        std_px = _std_px(sure)
+        std_px = std_of_error_px(sure)
         tolerance_px = np.where(is_steep, TOLERANCE_PX[0], np.clip(TOLERANCE_STDS * std_px, *TOLERANCE_PX))
         return cls(
             disparity_px=found.disparity_px,
@@ -126,11 +124,6 @@ def _slope(ref: FloatImage) -> FloatMap:
 
 def _mean_around(values: FloatMap, width: int) -> FloatMap:
     return np.asarray(cv2.blur(values, (width, width)), dtype=np.float32)
-
-
-def _std_px(confidence: FloatMap) -> FloatMap:
-    """Standard deviation of a normal error that stays below 1 px with this probability."""
-    return np.asarray(1 / ndtri((1 + np.clip(confidence, *_CONFIDENCES)) / 2), dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -260,13 +253,9 @@ def _enlarged(cells: FloatMap, hw: tuple[int, ...], interpolation: int) -> Float
 
 def _openness(view: _View) -> FloatMap:
     """(H, W) share in [0, 1] of a pull that is followed: none beside jumps of depth, little where texture is sure."""
-    sure = _ramp(_mean_around(view.confidence, AROUND_PX), *SURE)
-    textured = _ramp(_mean_around(view.slope, AROUND_PX), *TEXTURED)
+    sure = ramp(_mean_around(view.confidence, AROUND_PX), *SURE)
+    textured = ramp(_mean_around(view.slope, AROUND_PX), *TEXTURED)
     near = np.ones((5, 5))
     is_jump = cv2.dilate(view.smooth_px, near) - cv2.erode(view.smooth_px, near) > JUMP_PX
     distance_px = np.asarray(cv2.distanceTransform((~is_jump).astype(np.uint8), cv2.DIST_L2, 3), dtype=np.float32)
-    return (1 - sure * textured) * _ramp(distance_px, *JUMP_REACH_PX)
-
-
-def _ramp(values: FloatMap, first: float, last: float) -> FloatMap:
-    return np.asarray(np.clip((values - first) / (last - first), 0, 1), dtype=np.float32)
+    return (1 - sure * textured) * ramp(distance_px, *JUMP_REACH_PX)

@@ -26,6 +26,7 @@ from telewide.matching.inference import (
     low_precision,
     match_with_network,
 )
+from telewide.matching.lookalikes import follow_lookalikes
 from telewide.matching.networks import StereoNetwork, build_network, standardise
 from telewide.matching.volume import correlate_groups, expect_disparity
 from telewide.simulate.degrade import shrink_and_enlarge
@@ -350,6 +351,7 @@ def test_between_two_surfaces_no_third_appears_where_a_result_is_shrunken(
 ) -> None:
     """Wherever the step lies in the enlarged views, it comes within a pixel of its place."""
     monkeypatch.setattr(inference, "_match_views", lambda *_, **__: step_at(x_px, far_px=3.0, near_px=30.0))
+    monkeypatch.setattr(inference, "follow_lookalikes", lambda found, ref: found)
     found = match_with_network(noise(64, 96), noise(64, 96), network=build_network("guided", seed=1), window=(0, 32))
     assert set(np.unique(found.disparity_px)) == {np.float32(2.0), np.float32(20.0)}
     x_found_px = np.argmax(found.disparity_px[0] == 20.0)
@@ -384,8 +386,10 @@ def test_surfaces_are_made_even_where_the_network_knows_how_sure_it_is(
     made = match_with_network(*example, network=network, window=window)
     with monkeypatch.context() as patch:
         patch.setattr(inference, "even_surfaces", lambda found, ref: found)
+        patch.setattr(inference, "follow_lookalikes", lambda found, ref: found)
         matched = match_with_network(*example, network=network, window=window)
-    expected = even_surfaces(matched, example[0]) if is_evened else matched
+    ref = example[0]
+    expected = even_surfaces(follow_lookalikes(matched, ref), ref) if is_evened else matched
     np.testing.assert_array_equal(made.disparity_px, expected.disparity_px)
     assert np.array_equal(made.disparity_px, matched.disparity_px) is not is_evened
 

@@ -57,9 +57,10 @@ def code_of(*words: str) -> int:
 def test_the_exported_maps_are_those_of_a_match(
     name: str, hw: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At the size of the views, before surfaces are made even: that is left to whoever calls the model."""
+    """At the size of the views, before what follows the network: that is left to whoever calls the model."""
     monkeypatch.setattr(inference, "ENLARGED_TO_PIXELS", 0)
     monkeypatch.setattr(inference, "even_surfaces", lambda found, ref: found)
+    monkeypatch.setattr(inference, "follow_lookalikes", lambda found, ref: found)
     network = network_with_all_branches(name)
     ref, src = example_views(hw, WINDOW)
     with full_precision(), torch.inference_mode():
