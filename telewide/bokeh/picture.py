@@ -61,7 +61,8 @@ class BokehOptions:
         aperture: shape of its opening.
         highlights: how many times as bright as white small clipped lights are taken to have been; None, not stated,
             leaves them white in files.
-        kinds: of the files it is written to: "jpg", "tif" with 16 bits, "exr" in linear light, of a RAW photo.
+        kinds: of the files it is written to: "jpg", "tif" with 16 bits, "exr" in linear light, of a RAW photo; None for
+            "jpg" and those that an earlier call has left.
         is_stripped: whether the files are to say nothing of the photo but its colour profile.
         is_preview: whether a small picture is enough, `PREVIEW_SHRINKS` times fewer pixels along each side.
     """
@@ -73,7 +74,7 @@ class BokehOptions:
     equiv_focal_mm: float = 50.0
     aperture: Aperture = DISK
     highlights: float | None = None
-    kinds: tuple[PictureKind, ...] = ("jpg",)
+    kinds: tuple[PictureKind, ...] | None = None
     is_stripped: bool = False
     is_preview: bool = False
 

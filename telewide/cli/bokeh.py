@@ -44,7 +44,8 @@ HighlightsOption = Annotated[
 PictureOption = Annotated[
     str | None,
     typer.Option(
-        metavar="KIND,...", help="Files of the bokeh: jpg, tif (16 bits), exr (linear, of RAW). [default: jpg]"
+        metavar="KIND,...",
+        help="Files of the bokeh: jpg, tif (16 bits), exr (linear, of RAW). [default: jpg, and what lies there]",
     ),
 ]
 StripOption = Annotated[
@@ -104,7 +105,7 @@ class BokehWords:
             equiv_focal_mm=self.f35_mm or BokehOptions.equiv_focal_mm,
             aperture=DISK if self.blades is None else _aperture(self.blades),
             highlights=self.highlights,
-            kinds=("jpg",) if self.picture is None else _kinds(self.picture),
+            kinds=None if self.picture is None else _kinds(self.picture),
             is_stripped=self.strip,
             is_preview=self.preview,
         )

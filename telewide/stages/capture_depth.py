@@ -45,6 +45,7 @@ from telewide.stages.capture_bokeh import (
     no_exr_note,
     read_in_own_colours,
     software,
+    with_lying_kinds,
 )
 from telewide.stages.kept_depth import (
     BOKEH_NAMES,
@@ -163,6 +164,7 @@ def depth_of_capture(
         key = {**key, "truth_sha256": source.truth_path and fingerprint(source.truth_path)}
         if (kept := read_kept(folder, key)) is not None:
             return replace(_outcome(source.name, folder, kept), is_kept=True)
+        bokeh = with_lying_kinds(bokeh, folder)
         _refuse_others_files(folder, source, (*file_names(formats or DEFAULT_FORMATS), *bokeh_names(bokeh), KEPT_NAME))
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
