@@ -172,18 +172,16 @@ def focus_note(
     Args:
         name: of the capture.
         focus: what was found.
-        depth_m: distance of that place, m; None where it is not known.
+        depth_m: distance of that place, m, which need not be the one that was named; None where it is not known.
         options: what was asked for.
         std_m: standard deviation of the distance, m; None likewise.
     """
-    if not focus.is_on_surface:
-        nearest = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
-        distance_m = named_distance_m(options.focus)
-        return (
-            f"{name}: bokeh is focused {distance_m:g} m away, where nothing is, so all of it is blurred; nearest to "
-            f"that is x {focus.x_px}, y {focus.y_px}{nearest}"
-        )
     distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
+    place, plane = f"x {focus.x_px}, y {focus.y_px}", f"disparity {focus.disparity_px:.1f} px"
+    distance_m = named_distance_m(options.focus)
+    if distance_m is not None:
+        told = plane if focus.is_on_surface else "where nothing is, so all of it is blurred"
+        return f"{name}: bokeh is focused {distance_m:g} m away, {told}; nearest to that is {place}{distance}"
     word = options.focus.strip().lower()
     ways = {
         "auto": "the nearest large surface in the middle, in its whole depth; `focus` X,Y, near or far chooses another",
@@ -194,8 +192,7 @@ def focus_note(
     if word == AF_WORD:
         way = f"its EXIF names no place, so {ways['auto']}" if focus.sharp_px else "the place that its EXIF names"
     why = f" ({way})" if way else ""
-    place = f"x {focus.x_px}, y {focus.y_px}"
-    return f"{name}: bokeh is focused on {place}{distance}, disparity {focus.disparity_px:.1f} px{why}"
+    return f"{name}: bokeh is focused on {place}{distance}, {plane}{why}"
 
 
 def bokeh_picture(

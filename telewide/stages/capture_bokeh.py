@@ -63,7 +63,7 @@ class CaptureBokeh:
     Attributes:
         files: the picture; None where this shot cannot have it.
         notes: what it is focused on, or why there is none.
-        numbers: the focus in px, and in metres where they are known; the blur in px a px of disparity.
+        numbers: the focus in px, and in metres where they are known or named; the blur in px a px of disparity.
     """
 
     files: BokehFiles | None
@@ -111,8 +111,8 @@ def bokeh_of_capture(
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     depth_m, std_m = numbers.get("focus_m"), numbers.get("focus_std_m")
     note = focus_note(result.name, focus, depth_m=depth_m, std_m=std_m, options=options)
-    if not focus.is_on_surface:
-        numbers["focus_m"] = named_distance_m(options.focus) or math.nan
+    if (distance_m := named_distance_m(options.focus)) is not None:  # of the sharp plane, not of what lies near it
+        numbers["focus_m"] = distance_m
         numbers.pop("focus_std_m", None)
     held_back = held_back_note(result.name, maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     done = note.removeprefix(f"{result.name}: ")
