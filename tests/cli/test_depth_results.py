@@ -213,7 +213,9 @@ def test_another_bokeh_leaves_the_depth_files_and_a_picture_that_cannot_be_made_
     }
 
 
-def test_another_bokeh_makes_the_kinds_of_picture_anew_that_lie_there(tmp_path: Path) -> None:
+def test_another_bokeh_makes_the_kinds_of_picture_anew_that_lie_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The TIFF of a call shows what its JPEG shows, whose pixels are those of no other call."""
     captures, run = tmp_path / "captures", tmp_path / "run"
     write_captures(captures, count=1, seed=1, hw=(96, 144), factor=2)
@@ -221,7 +223,11 @@ def test_another_bokeh_makes_the_kinds_of_picture_anew_that_lie_there(tmp_path: 
     depth(captures, run, "--bokeh", "--picture", "jpg,tif", "--strength", "6", "--focus", tries[0])
     shown = []
     for focus in tries:
+        capsys.readouterr()
         depth(captures, run, "--bokeh", "--strength", "6", "--focus", focus)
+        told = capsys.readouterr().err
+        assert "measuring and correcting" not in told, "nor is it matched again"
+        assert "depth (sgm)" not in told
         shown.append([read_image(folder / name) for name in ("bokeh.jpg", "bokeh.tif")])
     for k, (jpg, tif) in enumerate(shown):
         off = [float(np.abs(jpg - other[1]).mean()) for other in shown]
