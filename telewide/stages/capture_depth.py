@@ -137,6 +137,7 @@ def depth_of_capture(
     photos: PhotoStore | None = None,
     formats: tuple[str, ...] | None = None,
     is_stripped: bool = False,
+    elsewhere: str = "`out`",
 ) -> DepthOutcome | DepthFailure:
     """Make depth, and bokeh if asked, of one capture; what lies there already is not made again.
 
@@ -153,6 +154,7 @@ def depth_of_capture(
         photos: where the tele photo may be kept; None decodes it.
         formats: of the depth files, the npz among them; None for those that lie there, the usual ones where none do.
         is_stripped: whether they are to say nothing of the photo but its colour profile.
+        elsewhere: the option that names another folder, for messages.
 
     Returns:
         The files, and what was measured; or why there are none: one bad capture does not stop the others.
@@ -165,7 +167,9 @@ def depth_of_capture(
         if (kept := read_kept(folder, key)) is not None:
             return replace(_outcome(source.name, folder, kept), is_kept=True)
         bokeh = with_lying_kinds(bokeh, folder)
-        _refuse_others_files(folder, source, (*file_names(formats or DEFAULT_FORMATS), *bokeh_names(bokeh), KEPT_NAME))
+        names = (*file_names(formats or DEFAULT_FORMATS), *bokeh_names(bokeh), KEPT_NAME)
+        refuse_results_of_another(folder, source.tele_path, elsewhere=elsewhere)
+        refuse_foreign_files(folder, names, elsewhere=elsewhere)
         with within_memory("its depth"):
             found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
@@ -174,11 +178,6 @@ def depth_of_capture(
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
     return replace(_outcome(source.name, folder, made), is_depth_kept=found.lying is not None)
-
-
-def _refuse_others_files(folder: Path, source: Capture, names: tuple[str, ...]) -> None:
-    refuse_results_of_another(folder, source.tele_path)
-    refuse_foreign_files(folder, names)
 
 
 def _outcome(name: str, folder: Path, made: KeptDepth) -> DepthOutcome:

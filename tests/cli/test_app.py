@@ -551,6 +551,41 @@ def test_a_place_that_cannot_be_a_folder_is_refused_before_the_work(
     assert "cannot be made" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("command", "words", "option"),
+    [
+        ("depth", ("--out", "file"), "--out"),
+        ("depth", ("--out", "mine"), "--out"),
+        ("depth", ("--run", "mine"), "--run"),
+        ("depth", ("--run-folder", "occupied"), "--run"),
+        ("depth", ("--run", "mine", "--out", "file"), "--out"),
+        ("depth", ("--run", "."), "--run"),
+        ("run", ("--out", "mine"), "--out"),
+    ],
+)
+def test_a_place_that_is_taken_names_the_option_that_was_typed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    words: tuple[str, ...],
+    option: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_captures(Path("depth"), count=1, hw=(96, 128))
+    for folder in ("mine/depth/000", "mine/000", "occupied"):
+        Path(folder).mkdir(parents=True)
+    for file in ("mine/depth/000/depth.npz", "mine/000/depth.npz", "occupied/depth", "file"):
+        Path(file).write_text("mine")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert run_cli(command, "depth", "--method", "sgm", *words) == 2
+    told = capsys.readouterr().err
+    hint = told.strip().splitlines()[-1]
+    assert hint.endswith(f" with {option}")
+    assert ("a folder for the results was expected" in told) is (words[-1] in ("file", "occupied"))
+    assert {path: path.read_bytes() for path in before} == before
+
+
 def test_weights_that_nothing_would_read_are_refused(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("some.safetensors").touch()
     words = ("depth", "--method", "sgm", "--weights", "some.safetensors")
