@@ -182,7 +182,7 @@ class ConsoleObserver:
 
     def _warn(self, problems: Sequence[Problem]) -> None:
         for problem in problems:
-            verb = "skipped" if problem.is_skipped else "note"
+            verb = "skipped" if problem.is_skipped else "warning"
             text = f"{verb}: {problem.name}: {problem.message}"
             self.console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 

@@ -586,6 +586,24 @@ def test_a_place_that_is_taken_names_the_option_that_was_typed(
     assert {path: path.read_bytes() for path in before} == before
 
 
+@pytest.mark.parametrize("quiet", [(), ("-q",)])
+def test_quiet_leaves_warnings_and_no_notes(captures: Path, quiet: tuple[str, ...]) -> None:
+    """As a program, whose log is that of no test runner."""
+    (captures / "rig.yaml").touch()
+    shutil.copyfile(captures / "000" / "tele.png", captures / "000" / "tele.jpeg")
+    words = ("depth", "captures", "--only", "000", "--method", "sgm", *quiet)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-m", "telewide", *words], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    lines = done.stderr.splitlines()
+    assert (f"note: {captures.name}/rig.yaml is not used" in done.stderr) is not bool(quiet)
+    warnings = [line for line in lines if line.startswith("warning: ")]
+    assert sum("two files for the tele view" in line for line in warnings) == 1
+    assert (lines == warnings) is bool(quiet)
+
+
 def test_weights_that_nothing_would_read_are_refused(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("some.safetensors").touch()
     words = ("depth", "--method", "sgm", "--weights", "some.safetensors")
