@@ -132,6 +132,13 @@ def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> 
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
 
 
+@pytest.mark.parametrize(("focus", "meant"), [("1.8", "1.8m"), (" 2 ", "2m"), ("1.8mm", None)])
+def test_a_bare_number_is_asked_for_its_unit(scene_px: np.ndarray, focus: str, meant: str | None) -> None:
+    with pytest.raises(UsageError, match="X,Y") as refusal:
+        found_px(scene_px, np.ones_like(scene_px), focus=focus)
+    assert refusal.value.hint == (meant and f"did you mean {meant}?")
+
+
 def test_a_map_alone_knows_no_place_of_exif(scene_px: np.ndarray) -> None:
     with pytest.raises(UsageError, match="no EXIF"):
         find_focus(scene_px, np.ones_like(scene_px), focus="AF")

@@ -234,6 +234,7 @@ def test_another_bokeh_makes_the_kinds_of_picture_anew_that_lie_there(
         assert int(np.argmin(off)) == k
         assert np.abs(jpg - tif).mean() < 0.02
     depth(captures, run, "--bokeh", "--preview")
+    assert f"to look at: {folder / 'bokeh_preview.jpg'}\n" in capsys.readouterr().err
     assert {path.name for path in folder.glob("bokeh*")} == {"bokeh.jpg", "bokeh.tif", "bokeh_preview.jpg"}
     depth(captures, run, "--bokeh", "--picture", "jpg")
     (folder / "bokeh.tif").write_bytes(b"mine")
