@@ -234,7 +234,7 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
     outcomes = tuple(result for result in results if isinstance(result, DepthOutcome))
     failures = [result for result in results if isinstance(result, DepthFailure)]
     if not outcomes:
-        raise failures[-1].of_all(call.captures.root)
+        raise failures[-1].of_all(call.captures.root, elsewhere=_elsewhere(call, options))
     n_kept = sum(outcome.is_kept for outcome in outcomes)
     if n_kept:
         same = "same photos, same weights, same options"
@@ -294,7 +294,6 @@ def _depth_of(
         photos=call.photos,
         formats=options.formats,
         is_stripped=options.is_stripped,
-        elsewhere=_elsewhere(call, options),
     )
 
 

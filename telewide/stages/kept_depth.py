@@ -239,13 +239,12 @@ def matcher_of(folder: Path) -> str | None:
     return name if is_there and isinstance(name, str) else None
 
 
-def refuse_foreign_files(folder: Path, names: Collection[str], *, elsewhere: str) -> None:
+def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
     """Refuse to replace files that telewide did not write.
 
     Args:
         folder: of one capture.
         names: of the files that are to be written there.
-        elsewhere: the option that names another folder.
 
     Raises:
         UsageError: one of them lies there, and no ``depth.json`` beside it lists it.
@@ -255,17 +254,16 @@ def refuse_foreign_files(folder: Path, names: Collection[str], *, elsewhere: str
     if foreign:
         raise UsageError(
             f"{folder} holds {', '.join(foreign)}, which no {KEPT_NAME} there lists as made by telewide",
-            hint=f"move what is yours, or name another folder with {elsewhere}",
+            hint="move what is yours, or name another folder with `out`",
         )
 
 
-def refuse_results_of_another(folder: Path, source: Path, *, elsewhere: str) -> None:
+def refuse_results_of_another(folder: Path, source: Path) -> None:
     """Refuse to replace what was made of another photo that is still there: two sets may name their captures alike.
 
     Args:
         folder: of one capture.
         source: its tele photo.
-        elsewhere: the option that names another folder.
 
     Raises:
         UsageError: what lies there was made of another photo.
@@ -277,7 +275,7 @@ def refuse_results_of_another(folder: Path, source: Path, *, elsewhere: str) -> 
     if made_of is not None and is_file(Path(made_of)) and not Path(made_of).samefile(source):
         raise UsageError(
             f"{folder} holds the depth of another photo, {shortened(made_of, most=300)}",
-            hint=f"name another folder with {elsewhere}",
+            hint="name another folder with `out`",
         )
 
 

@@ -81,7 +81,7 @@ def test_files_of_others_stay_whatever_a_record_lists(tmp_path: Path) -> None:
     put_in_place(staged, folder)
     assert {path.name for path in folder.iterdir()} == {"mine.txt", "bokeh.jpg", KEPT_NAME}
     with pytest.raises(UsageError, match=r"bokeh\.jpg"):
-        refuse_foreign_files(folder, ("bokeh.jpg", KEPT_NAME), elsewhere="--out")
+        refuse_foreign_files(folder, ("bokeh.jpg", KEPT_NAME))
 
 
 def test_a_file_in_the_place_of_a_captures_folder_is_a_usage_error(tmp_path: Path) -> None:
