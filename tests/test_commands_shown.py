@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import typer
 
+from telewide.bokeh.highlights import MAX_TIMES
 from telewide.bokeh.picture import DEFAULT_STRENGTH_SHARE
 from telewide.cli.app import app
 from telewide.recipe import load_recipe
@@ -128,6 +129,13 @@ def test_make_bench_measures_all_but_the_published_tables_and_names_its_data(rep
 def test_help_states_the_strength_of_a_blur_as_it_is() -> None:
     (strength,) = (each for each in parser_of(["depth"])[0].params if each.name == "strength")
     assert f"{100 * DEFAULT_STRENGTH_SHARE:g} % of the longer side" in strength.help
+
+
+def test_help_states_the_limit_of_highlights_as_it_is(repo: Path) -> None:
+    (highlights,) = (each for each in parser_of(["depth"])[0].params if each.name == "highlights")
+    assert f"1 to {MAX_TIMES:g}" in highlights.help
+    (told,) = re.findall(r"^\| `--highlights 8` \|(.*)", sections(repo)["depth"], re.MULTILINE)
+    assert f"1 to {MAX_TIMES:g}" in told
 
 
 def sources(repo: Path) -> list[Path]:

@@ -24,6 +24,7 @@ AF_WORD = "af"
 CONFIDENT = 0.5
 POINT_WINDOW_PX = 2
 SAME_SURFACE_PX = 1.0
+_DISTANCE = re.compile(r"(\d*\.?\d+|\d+\.)\s*m")
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def named_distance_m(focus: str) -> float | None:
     Raises:
         UsageError: the distance is not above 0.
     """
-    found = re.fullmatch(r"(\d*\.?\d+|\d+\.)\s*m", _word(focus))
+    found = _DISTANCE.fullmatch(_word(focus))
     if found is None:
         return None
     distance_m = float(found[1])
@@ -128,7 +129,8 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
     except (ValueError, OverflowError):  # also of nan and inf
         raise UsageError(
             f"focus {focus!r}: expected X,Y in pixels of the tele photo, a distance such as 2.5m, or one of "
-            f"{', '.join((*FOCUS_WORDS, AF_WORD))}"
+            f"{', '.join((*FOCUS_WORDS, AF_WORD))}",
+            hint=f"did you mean {_word(focus)}m?" if _DISTANCE.fullmatch(f"{_word(focus)}m") else None,
         ) from None
     if hw is not None and not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
         raise UsageError(

@@ -61,7 +61,8 @@ class BokehOptions:
         aperture: shape of its opening.
         highlights: how many times as bright as white small clipped lights are taken to have been; None, not stated,
             leaves them white in files.
-        kinds: of the files it is written to: "jpg", "tif" with 16 bits, "exr" in linear light, of a RAW photo.
+        kinds: of the files it is written to: "jpg", "tif" with 16 bits, "exr" in linear light, of a RAW photo; None for
+            "jpg" and those that an earlier call has left.
         is_stripped: whether the files are to say nothing of the photo but its colour profile.
         is_preview: whether a small picture is enough, `PREVIEW_SHRINKS` times fewer pixels along each side.
     """
@@ -73,7 +74,7 @@ class BokehOptions:
     equiv_focal_mm: float = 50.0
     aperture: Aperture = DISK
     highlights: float | None = None
-    kinds: tuple[PictureKind, ...] = ("jpg",)
+    kinds: tuple[PictureKind, ...] | None = None
     is_stripped: bool = False
     is_preview: bool = False
 
@@ -178,18 +179,16 @@ def focus_note(
         name: of the capture.
         focus: what was found.
         place_px: disparity of its point, as maps and page have it: its plane lies in the middle of a surface.
-        depth_m: distance of that place, m; None where it is not known.
+        depth_m: distance of that place, m, which need not be the one that was named; None where it is not known.
         options: what was asked for.
         std_m: standard deviation of the distance, m; None likewise.
     """
-    if not focus.is_on_surface:
-        nearest = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
-        distance_m = named_distance_m(options.focus)
-        return (
-            f"{name}: bokeh is focused {distance_m:g} m away, where nothing is, so all of it is blurred; nearest to "
-            f"that is x {focus.x_px}, y {focus.y_px}{nearest}"
-        )
     distance = "" if depth_m is None else f", {away_words(depth_m, std_m)}"
+    place = f"x {focus.x_px}, y {focus.y_px}{distance}, disparity {place_px:.1f} px"
+    distance_m = named_distance_m(options.focus)
+    if distance_m is not None:
+        nowhere = "" if focus.is_on_surface else ", where nothing is, so all of it is blurred"
+        return f"{name}: bokeh is focused {distance_m:g} m away{nowhere}; nearest to that is {place}"
     word = options.focus.strip().lower()
     ways = {
         "auto": "the nearest large surface in the middle, in its whole depth; `focus` X,Y, near or far chooses another",
@@ -200,8 +199,7 @@ def focus_note(
     if word == AF_WORD:
         way = f"its EXIF names no place, so {ways['auto']}" if focus.sharp_px else "the place that its EXIF names"
     why = f" ({way})" if way else ""
-    place = f"x {focus.x_px}, y {focus.y_px}"
-    return f"{name}: bokeh is focused on {place}{distance}, disparity {place_px:.1f} px{why}"
+    return f"{name}: bokeh is focused on {place}{why}"
 
 
 def bokeh_picture(

@@ -9,7 +9,7 @@ Four layouts are recognised, also mixed in one folder::
 
 A true disparity map, where there is one, is ``<name>/truth.pfm``, ``<name>_truth.pfm`` or ``truth/<name>.pfm``.
 Which file of several is taken: `telewide.capture.view_files`.
-What is wrong with one capture is a `Problem` and leaves the others alone.
+What is wrong with one capture, such as a folder without a photo, is a `Problem` and leaves the others alone.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from telewide.files import is_file, is_folder, refuse_other_than_folder
 
 _TRUTH_SUFFIX = ".pfm"
 TRUTH = "truth"
-_UNREAD, _CLOSED, _OTHER = "unread", "closed", "other"
+_UNREAD, _CLOSED, _OTHER, _BARE = "unread", "closed", "other", "bare"
 _ALIKE = 0.6  # of names, by difflib
 _MAX_LISTED = 5
 _ROLE_SUFFIX = re.compile(
@@ -189,6 +189,8 @@ def _add_capture_folder(found: _Candidates, folder: Path) -> None:
         unread = [file for file in files if _is_unread(file)]
         if unread:
             found[key][_UNREAD] = unread
+        elif not any(map(is_folder, visible_entries(folder))):  # else it is a run folder, say
+            found[key][_BARE] = [folder]
 
 
 def _add_file(found: _Candidates, file: Path, own_name: str) -> None:
@@ -237,6 +239,8 @@ def _choose(candidates: _Candidates) -> tuple[list[Capture], list[Problem]]:
 def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
     if _CLOSED in roles:
         return f"{roles[_CLOSED][0]} cannot be opened"
+    if _BARE in roles:
+        return f"{roles[_BARE][0]} holds no photo"
     if "unnamed" in roles:
         told = f"{roles['unnamed'][0].parent} holds neither tele.* nor wide.*"
         return told + "".join(_misspelt(view, roles["unnamed"]) for view in VIEWS)

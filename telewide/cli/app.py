@@ -86,10 +86,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         arguments: the words after ``telewide``; None takes them from the process.
     """
     notes = logging.StreamHandler(sys.stderr)
-    notes.setFormatter(VisibleFormatter("note: %(message)s"))
+    notes.setFormatter(VisibleFormatter())
     notes.addFilter(logging.Filter("telewide"))  # remarks of the decoders on odd files are no help to anybody
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     logging.basicConfig(level=logging.WARNING, handlers=[notes])
+    logging.getLogger("telewide").setLevel(logging.INFO)  # notes; quiet commands leave them out
     if this_process().world > 1:  # torchrun ends its processes together, and waits for none
         sys.exit(_exit_code(arguments))
     with terminable() as interrupted:

@@ -26,7 +26,9 @@ EquivFocalOption = Annotated[
 StrengthOption = Annotated[
     str | None,
     typer.Option(
-        metavar="PX|SHARE%", help="Radius of the strongest blur, px or %. [default: 1.2 % of the longer side]"
+        metavar="RADIUS",
+        help="Radius of the strongest blur: px of the photo (24 or 24px), or a share of its longer side (1.5%). "
+        "[default: 1.2 % of the longer side]",
     ),
 ]
 BladesOption = Annotated[
@@ -38,20 +40,28 @@ BladesOption = Annotated[
 ]
 HighlightsOption = Annotated[
     float | None,
-    typer.Option(metavar="TIMES", help="How much brighter than white small clipped lights were; 8, say. [default: 1]"),
+    typer.Option(
+        metavar="TIMES",
+        help="How many times as bright as white small clipped lights were, 1 to 100; 8, say. [default: 1]",
+    ),
 ]
 
 PictureOption = Annotated[
     str | None,
     typer.Option(
-        metavar="KIND,...", help="Files of the bokeh: jpg, tif (16 bits), exr (linear, of RAW). [default: jpg]"
+        metavar="KIND,...",
+        help="Files of the bokeh: jpg, tif (16 bits), exr (linear, of RAW). [default: jpg, and what lies there]",
     ),
 ]
 StripOption = Annotated[
     bool, typer.Option("--strip", help="Leave EXIF, GPS, date and XMP of the photo out of the files.")
 ]
 PreviewOption = Annotated[
-    bool, typer.Option("--preview", help="A small bokeh_preview.jpg in an instant, for trying focus and blur.")
+    bool,
+    typer.Option(
+        "--preview",
+        help="A small bokeh_preview.jpg instead, to try focus and blur: takes seconds once the depth is there.",
+    ),
 ]
 
 
@@ -104,7 +114,7 @@ class BokehWords:
             equiv_focal_mm=self.f35_mm or BokehOptions.equiv_focal_mm,
             aperture=DISK if self.blades is None else _aperture(self.blades),
             highlights=self.highlights,
-            kinds=("jpg",) if self.picture is None else _kinds(self.picture),
+            kinds=None if self.picture is None else _kinds(self.picture),
             is_stripped=self.strip,
             is_preview=self.preview,
         )
@@ -131,14 +141,16 @@ class BokehWords:
 
 def _strength(text: str) -> tuple[float | None, float | None]:
     """Radius in px, or as a share of the longer side."""
-    number, is_share = text.strip().removesuffix("%"), text.strip().endswith("%")
+    word = text.strip().lower()
+    is_share = word.endswith("%")
     try:
-        value = float(number)
+        value = float(word.removesuffix("%" if is_share else "px"))
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
         raise UsageError(
-            f"--strength {text}: a radius above 0 was expected, in px or, such as 1.5%, of the longer side"
+            f"--strength {text}: a radius above 0 was expected, in px of the photo such as 24px, or as a share of its "
+            "longer side such as 1.5%"
         )
     return (None, value / 100) if is_share else (value, None)
 

@@ -154,7 +154,7 @@ def _say(done: CalibrationRun, observer: ConsoleObserver, *, next_steps: tuple[s
     observer.close()
     stored = done.stored
     for note in done.notes:
-        observer.warned(f"note: {note}")
+        observer.warned(f"warning: {note}")
     for check in stored.quality.checks:
         if check.status != "pass":
             observer.warned(f"{check.status}: {check.name}: {check.advice}")

@@ -81,6 +81,8 @@ def console_observer(
     from telewide.cli.progress import ConsoleObserver
     from telewide.cli.terminal import TerminalConsole
 
+    if is_quiet:
+        logging.getLogger("telewide").setLevel(logging.WARNING)
     console = TerminalConsole(stderr=True, quiet=not this_process().is_writer)
     observer = ConsoleObserver(console, is_quiet=is_quiet, shows_table=shows_table, invocation=invocation)
     try:
@@ -147,11 +149,12 @@ def say(text: str, *, is_answer: bool = False) -> None:
 
 
 class VisibleFormatter(logging.Formatter):
-    """Formats lines of the log; what a terminal would obey is shown instead."""
+    """Formats lines of the log, notes and warnings; what a terminal would obey is shown instead."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line."""
-        return printable(with_options(super().format(record)))
+        kind = "warning" if record.levelno >= logging.WARNING else "note"
+        return printable(with_options(f"{kind}: {super().format(record)}"))
 
 
 def print_json(content: dict[str, object]) -> None:

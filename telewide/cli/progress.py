@@ -57,8 +57,10 @@ class ConsoleObserver:
     _progress: Progress | None = None
     _task: TaskID | None = None
     _label: str = ""
+    _matching: str = "depth"
     _total: int = 0
     _done: int = 0
+    _n_idle: int = 0
     _loss: float = math.nan
     _last_line_s: float = field(default_factory=time.monotonic)
     _judgement: str = ""
@@ -68,6 +70,7 @@ class ConsoleObserver:
     def close(self) -> None:
         """Take the bar away."""
         if self._progress is not None:
+            self._progress.live.transient = self._n_idle == self._done > 0  # nothing was done that it tells of
             self._progress.stop()
         self._progress = self._task = None
         self._total = 0
@@ -77,9 +80,9 @@ class ConsoleObserver:
         self.said(f"{counted(len(captures.captures), 'capture')} in {captures.root}")
         self._begin("measuring and correcting", total=len(captures.captures))
 
-    def pair_prepared(self, name: str) -> None:
-        """Move the bar."""
-        self._advance(name=name)
+    def pair_prepared(self, name: str, *, is_kept: bool = False) -> None:
+        """Move the bar; of one that is kept no line is said."""
+        self._advance(name=name, is_idle=is_kept)
 
     def set_prepared(self, prepared: PreparedSet) -> None:
         """Print the table of the captures and the problems."""
@@ -154,18 +157,20 @@ class ConsoleObserver:
 
     def matching(self, total: int, *, method: str) -> None:
         """Show a bar over the captures."""
-        self._begin(f"depth ({method})", total=total)
+        self._matching = f"depth ({method})"
+        self._begin("depth", total=total)
 
     def depth_written(self, outcome: DepthOutcome) -> None:
         """Move the bar; say what was left out, and do not keep back what is less than was asked for."""
         for note in outcome.notes:
             (self.warned if note in outcome.shortcomings else self.said)(note)
-        self._advance(name=outcome.name)
+        label = "files of kept depth" if outcome.is_depth_kept else self._matching
+        self._advance(name=outcome.name, label=label, is_idle=outcome.is_kept)
 
     def depth_failed(self, problem: Problem) -> None:
         """Say which capture was skipped."""
         self._warn([problem])
-        self._advance(name=problem.name)
+        self._advance(name=problem.name, label=self._matching)
 
     def said(self, message: str) -> None:
         """Print a line."""
@@ -177,16 +182,17 @@ class ConsoleObserver:
 
     def _warn(self, problems: Sequence[Problem]) -> None:
         for problem in problems:
-            verb = "skipped" if problem.is_skipped else "note"
+            verb = "skipped" if problem.is_skipped else "warning"
             text = f"{verb}: {problem.name}: {problem.message}"
             self.console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     def _begin(self, label: str, *, total: int, done: int = 0, has_lines: bool = True) -> None:
         self.close()
+        self._label, self._total, self._done, self._n_idle = label, 0, done, 0
         if self.is_quiet:
             return
         if not self.console.is_terminal:
-            self._label, self._total, self._done = label, total if has_lines else 0, done
+            self._total = total if has_lines else 0
             return
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -199,11 +205,13 @@ class ConsoleObserver:
         self._progress.start()
         self._task = self._progress.add_task(label, total=total, completed=done, note="")
 
-    def _advance(self, note: str = "", *, name: str = "") -> None:
+    def _advance(self, note: str = "", *, name: str = "", label: str = "", is_idle: bool = False) -> None:
+        self._label = label or self._label
         if self._progress is not None and self._task is not None:
-            self._progress.update(self._task, advance=1, note=note)
+            self._progress.update(self._task, advance=1, note=note, description=self._label)
         self._done += 1
-        if is_worth_a_line(self._done, self._total):
+        self._n_idle += is_idle
+        if is_worth_a_line(self._done, self._total) and not is_idle:
             self.said(f"{self._label} {self._done}/{self._total}{name and f': {name}'}")
 
 

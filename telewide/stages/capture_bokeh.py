@@ -7,13 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import get_args
 
 from telewide.bokeh.focus import Focus, find_focus, named_distance_m, named_focus
 from telewide.bokeh.picture import (
     BokehOptions,
+    PictureKind,
     blur_per_px,
     bokeh_picture,
     bokeh_preview,
@@ -30,9 +34,11 @@ from telewide.capture.pair import Capture
 from telewide.capture.pictures import PictureFacts
 from telewide.depth.result import DepthResult
 from telewide.drawing import upright
+from telewide.errors import MissingPartError, extra_hint
+from telewide.files import is_file
 from telewide.geometry.arrays import FloatMap
 from telewide.stages.beyond_frame import BeyondFrame
-from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, EXR_BOKEH_NAME, PREVIEW_BOKEH_NAME
+from telewide.stages.kept_depth import BOKEH_NAME, BOKEH_NAMES, EXR_BOKEH_NAME, PREVIEW_BOKEH_NAME, listed_files
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class CaptureBokeh:
     Attributes:
         files: the picture; None where this shot cannot have it.
         notes: what it is focused on, or why there is none.
-        numbers: the focus in px, and in metres where they are known; the blur in px a px of disparity.
+        numbers: the focus in px, and in metres where they are known or named; the blur in px a px of disparity.
     """
 
     files: BokehFiles | None
@@ -105,8 +111,8 @@ def bokeh_of_capture(
     numbers["blur_per_px"] = blur_per_px(maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     at_px, at_m, std_m = maps.disparity_px[focus.y_px, focus.x_px], numbers.get("focus_m"), numbers.get("focus_std_m")
     note = focus_note(result.name, focus, place_px=float(at_px), depth_m=at_m, std_m=std_m, options=options)
-    if not focus.is_on_surface:
-        numbers["focus_m"] = named_distance_m(options.focus) or math.nan
+    if (distance_m := named_distance_m(options.focus)) is not None:  # of the sharp plane, not of what lies near it
+        numbers["focus_m"] = distance_m
         numbers.pop("focus_std_m", None)
     held_back = held_back_note(result.name, maps.disparity_px, focus, options=options, baseline_m=baseline_m)
     done = note.removeprefix(f"{result.name}: ")
@@ -172,7 +178,29 @@ def bokeh_names(options: BokehOptions | None) -> tuple[str, ...]:
         return ()
     if options.is_preview:
         return (PREVIEW_BOKEH_NAME,)
-    return tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in options.kinds)
+    return tuple(name for name in BOKEH_NAMES if name.rpartition(".")[2] in (options.kinds or ("jpg",)))
+
+
+def with_lying_kinds(options: BokehOptions | None, folder: Path) -> BokehOptions | None:
+    """Where no kinds of files are named, take the JPEG and those that lie there: left as they are, they would be stale.
+
+    Args:
+        options: as asked for; None where no picture is.
+        folder: of the capture.
+
+    Raises:
+        MissingPartError: one that lies there cannot be made.
+    """
+    if options is None or options.kinds is not None or options.is_preview:
+        return options
+    lying = {name for name in listed_files(folder) if is_file(folder / name)}
+    if EXR_BOKEH_NAME in lying and find_spec("OpenEXR") is None:
+        raise MissingPartError(
+            f"{folder / EXR_BOKEH_NAME} shows another bokeh; making it anew needs OpenEXR, which is not installed",
+            hint=f"{extra_hint('exr')}; or name the files that you want with `picture`",
+        )
+    kinds = tuple(kind for kind in get_args(PictureKind) if kind == "jpg" or f"bokeh.{kind}" in lying)
+    return replace(options, kinds=kinds)
 
 
 def software() -> str:

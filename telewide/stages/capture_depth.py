@@ -45,6 +45,7 @@ from telewide.stages.capture_bokeh import (
     no_exr_note,
     read_in_own_colours,
     software,
+    with_lying_kinds,
 )
 from telewide.stages.kept_depth import (
     BOKEH_NAMES,
@@ -116,10 +117,15 @@ class DepthFailure:
         """Return it as a capture that was left out."""
         return Problem(self.name, self.error.message)
 
-    def of_all(self, captures_root: Path) -> InputError | UsageError:
-        """Return the error to raise where no capture of a set is left."""
+    def of_all(self, captures_root: Path, *, elsewhere: str) -> InputError | UsageError:
+        """Return the error to raise where no capture of a set is left.
+
+        Args:
+            captures_root: folder of the set.
+            elsewhere: the option that puts the results elsewhere, for the one that the hint names.
+        """
         message = f"{captures_root}: no depth could be computed; {self.name}: {self.error.message}"
-        return type(self.error)(message, hint=self.error.hint)
+        return type(self.error)(message, hint=self.error.hint and self.error.hint.replace("`out`", elsewhere))
 
 
 def depth_of_capture(
@@ -157,15 +163,15 @@ def depth_of_capture(
         The files, and what was measured; or why there are none: one bad capture does not stop the others.
     """
     photos = photos or PhotoStore(max_bytes=0)
-    turned_deg = 0 if shot is not None else facts.rotated_deg  # the photos of a rig are not turned
     try:
         refuse_links(folder.parent, folder)
         key = {**key, "truth_sha256": source.truth_path and fingerprint(source.truth_path)}
         if (kept := read_kept(folder, key)) is not None:
             return replace(_outcome(source.name, folder, kept), is_kept=True)
+        bokeh = with_lying_kinds(bokeh, folder)
         _refuse_others_files(folder, source, (*file_names(formats or DEFAULT_FORMATS), *bokeh_names(bokeh), KEPT_NAME))
         with within_memory("its depth"):
-            found = _kept(folder, source, photos, key=key, turned_deg=turned_deg)
+            found = _kept(folder, source, photos, key=key, turned_deg=0 if shot is not None else facts.rotated_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
             picture = found.bokeh(source, bokeh, beyond=beyond_frame(held_out, shot, photos))
         made = _put(found, picture, folder, asked=found.asked(source, formats, bokeh, is_stripped=is_stripped), key=key)
@@ -249,7 +255,7 @@ class _Asked:
 def _kept(
     folder: Path, source: Capture, photos: PhotoStore, *, key: Mapping[str, object], turned_deg: int
 ) -> _Depth | None:
-    """Take the depth that lies in a folder, where it was made from the same and can be read."""
+    """Take the depth that lies in a folder, where it was made from the same and can be read; a rig turns no photos."""
     lying = read_kept_depth(folder, key)
     if lying is None:
         return None

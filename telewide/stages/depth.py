@@ -16,7 +16,7 @@ from telewide.capture.pair import Problem
 from telewide.cores import Device
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
-from telewide.files import fingerprint, is_file
+from telewide.files import fingerprint, is_file, is_folder, is_there
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.window import Window, joined_window
@@ -131,7 +131,7 @@ def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:
         UsageError: a bokeh in millimetres without a baseline, a distance without a rig or outside of the photo, or
             results that would lie among the photos.
     """
-    _refuse_the_photos_folder(call, options.out or call.folder.depth)
+    _refuse_the_photos_folder(call, options)
     _check_distance(call, options)
     rig = None if call.rig is None else call.rig.rig
     baseline_m = rig.baseline_m if rig and rig.is_scale_known else None
@@ -139,12 +139,20 @@ def refuse_what_cannot_be(call: Call, options: DepthOptions) -> None:
     check_bokeh(options.bokeh, call.captures, baseline_m=baseline_m, has_rig=rig is not None, is_pinned=is_pinned)
 
 
-def _refuse_the_photos_folder(call: Call, out: Path) -> None:
+def _elsewhere(call: Call, options: DepthOptions) -> str:
+    """Name the option that puts the results elsewhere: the one that the call states, or that its command has."""
+    states_run = call.invocation.command == "depth" and "run" in call.invocation.options
+    return "--run" if states_run and options.out is None else "--out"
+
+
+def _refuse_the_photos_folder(call: Call, options: DepthOptions) -> None:
     """Refuse results among the photos, which would be taken for captures."""
+    out = options.out or call.folder.depth
     photos = {call.captures.root, *(capture.tele_path.parent for capture in call.captures.captures)}
     places = {out, *(out / capture.name for capture in call.captures.captures)}
     if {os.path.realpath(path) for path in photos} & {os.path.realpath(path) for path in places}:
-        raise UsageError(f"{out} holds the captures; the results need another folder", hint="name one with --out")
+        hint = f"name one with {_elsewhere(call, options)}"
+        raise UsageError(f"{out} holds the captures; the results need another folder", hint=hint)
 
 
 def _check_distance(call: Call, options: DepthOptions) -> None:
@@ -187,11 +195,13 @@ def make_folder(call: Call, options: DepthOptions) -> None:
         UsageError: it cannot be made.
     """
     folder = options.out or call.folder.depth
+    hint = f"name another folder with {_elsewhere(call, options)}"
+    if is_there(folder) and not is_folder(folder):
+        raise UsageError(f"{folder} is a file; a folder for the results was expected", hint=hint)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise UsageError(f"{folder} cannot be made: {reason}", hint="name another folder with --out") from error
+        raise UsageError(f"{folder} cannot be made: {error.strerror or error}", hint=hint) from error
 
 
 def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:
@@ -224,7 +234,7 @@ def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, option
     outcomes = tuple(result for result in results if isinstance(result, DepthOutcome))
     failures = [result for result in results if isinstance(result, DepthFailure)]
     if not outcomes:
-        raise failures[-1].of_all(call.captures.root)
+        raise failures[-1].of_all(call.captures.root, elsewhere=_elsewhere(call, options))
     n_kept = sum(outcome.is_kept for outcome in outcomes)
     if n_kept:
         same = "same photos, same weights, same options"

@@ -254,7 +254,7 @@ def refuse_foreign_files(folder: Path, names: Collection[str]) -> None:
     if foreign:
         raise UsageError(
             f"{folder} holds {', '.join(foreign)}, which no {KEPT_NAME} there lists as made by telewide",
-            hint="move what is yours, or name another folder with --out",
+            hint="move what is yours, or name another folder with `out`",
         )
 
 
@@ -275,7 +275,7 @@ def refuse_results_of_another(folder: Path, source: Path) -> None:
     if made_of is not None and is_file(Path(made_of)) and not Path(made_of).samefile(source):
         raise UsageError(
             f"{folder} holds the depth of another photo, {shortened(made_of, most=300)}",
-            hint="name another folder with `out` or `run`",
+            hint="name another folder with `out`",
         )
 
 

@@ -33,8 +33,8 @@ class Observer(Reporter, Protocol):
     def preparing(self, captures: CaptureSet) -> None:
         """The captures of a set are about to be corrected."""
 
-    def pair_prepared(self, name: str) -> None:
-        """One capture is corrected, or left out."""
+    def pair_prepared(self, name: str, *, is_kept: bool = False) -> None:
+        """One capture is corrected, or left out; or is kept as a former call has corrected it."""
 
     def set_prepared(self, prepared: PreparedSet) -> None:
         """All captures are corrected."""
@@ -88,7 +88,7 @@ class Silent:
     def preparing(self, captures: CaptureSet) -> None:
         """Ignore it."""
 
-    def pair_prepared(self, name: str) -> None:
+    def pair_prepared(self, name: str, *, is_kept: bool = False) -> None:
         """Ignore it."""
 
     def set_prepared(self, prepared: PreparedSet) -> None:

@@ -32,6 +32,7 @@ class PreparedPair:
         alignment: geometry between the corrected pair and the photos; None where they were rectified when they came.
         blur: how much softer wide is; None where matches are too few to tell.
         wide_side: of photos that were rectified when they came: where wide stands, "left" for a mirrored pair.
+        is_kept: whether a former call made it.
     """
 
     source: Capture
@@ -42,6 +43,7 @@ class PreparedPair:
     alignment: Alignment | None = None
     blur: BlurEstimate | None = None
     wide_side: WideSide = "right"
+    is_kept: bool = False
 
 
 @dataclass(frozen=True)

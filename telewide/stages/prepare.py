@@ -7,10 +7,11 @@ rectified. A pair whose files and options have not changed is not made again.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 from telewide.calibration.rig_file import StoredRig
 from telewide.capture.exif import image_pipeline, pipeline_conflict, read_photo_facts
@@ -78,7 +79,11 @@ class CorrectedShot:
     wide_side: WideSide = "right"
 
 
-Tick = Callable[[str], None]
+class Tick(Protocol):
+    """Hears of each capture that is corrected, or left out."""
+
+    def __call__(self, name: str, *, is_kept: bool) -> None:
+        """Take its name, and whether a former call has corrected it."""
 
 
 def prepare(call: Call) -> PreparedSet:
@@ -135,7 +140,7 @@ def prepare_captures(
         recipe: what is corrected; the working size; the window, where it states one.
         rig: what to rectify with; None for captures that are rectified.
         photos: keeps photos for the stages after; None where there are none.
-        tick: called with the name of each capture that is corrected, or left out.
+        tick: called for each capture.
 
     Returns:
         The pairs that can be used. Bad captures are among its problems.
@@ -164,7 +169,7 @@ def prepare_captures(
             cut_off = _what_is_cut_off(prepared.report, recipe.window_px)
             problems += [*cut_off, *_where_wide_stands(prepared, captures.facts)]
         if tick is not None:
-            tick(capture.name)
+            tick(capture.name, is_kept=prepared is not None and prepared.is_kept)
     if not pairs:
         raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig)
@@ -211,7 +216,7 @@ def _prepare_pair(
     key = key_of(capture, facts, recipe=recipe, rig=rig)
     kept = read_kept(capture, folder, key=key, recipe=recipe, rig=rig)
     if kept is not None:
-        return kept
+        return replace(kept, is_kept=True)
     if rig is None and not facts.rectified:
         _refuse_to_lose_the_rig(folder, key)
     _refuse_another_kind(capture, rig)

@@ -39,7 +39,7 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
                 hint="remove 'rectified: true' there, or leave --rig out",
             )
         if lying is not None:
-            _log.warning("%s is not used: captures.yaml states that the captures are rectified", lying)
+            _log.info("%s is not used: captures.yaml states that the captures are rectified", lying)
         return None
     if stated is not None:
         return read_rig(stated)

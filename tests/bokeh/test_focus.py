@@ -108,6 +108,18 @@ def test_a_distance_at_which_nothing_is_says_so_and_contradicts_itself_in_nothin
     assert f"nearest to that is x {found.x_px}, y {found.y_px}, 1.50 m away" in note
 
 
+def test_a_named_distance_is_told_as_that_of_the_sharp_plane(scene_px: np.ndarray) -> None:
+    """The surface lies 0.7 px off, near enough to be sharp, and 1.84 m away by its own disparity."""
+    f_px_m = float(scene_px.max()) * 1.84
+    found = find_focus(scene_px, np.ones_like(scene_px), focus="1.8m", disparity_at_m=lambda depth_m: f_px_m / depth_m)
+    assert found.is_on_surface
+    note = focus_note("000", found, depth_m=1.84, options=BokehOptions(focus="1.8m"))
+    sharp, _, surface = note.partition(";")
+    assert "focused 1.8 m away" in sharp
+    assert f"{f_px_m / 1.8:.1f} px" in sharp
+    assert surface == f" nearest to that is x {found.x_px}, y {found.y_px}, 1.84 m away"
+
+
 @pytest.mark.parametrize("focus", ["0m", "0.0 m"])
 def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="above 0 m"):
@@ -118,6 +130,13 @@ def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str
 def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="X,Y"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
+
+
+@pytest.mark.parametrize(("focus", "meant"), [("1.8", "1.8m"), (" 2 ", "2m"), ("1.8mm", None)])
+def test_a_bare_number_is_asked_for_its_unit(scene_px: np.ndarray, focus: str, meant: str | None) -> None:
+    with pytest.raises(UsageError, match="X,Y") as refusal:
+        found_px(scene_px, np.ones_like(scene_px), focus=focus)
+    assert refusal.value.hint == (meant and f"did you mean {meant}?")
 
 
 def test_a_map_alone_knows_no_place_of_exif(scene_px: np.ndarray) -> None:

@@ -135,7 +135,7 @@ def test_two_spellings_of_one_letter_are_one_name(tmp_path: Path) -> None:
 
 def test_what_lies_about_is_not_looked_at(tmp_path: Path) -> None:
     mess = ["__MACOSX/A/._tele.jpg", "__MACOSX/B/tele.jpg", ".hidden/tele.jpg", "A/._tele.jpg", "A/.DS_Store"]
-    other = ["Thumbs.db", "notes.txt", "run/run.json", "B_tele.txt", "A/notes_tele.txt"]
+    other = ["Thumbs.db", "notes.txt", "run/depth/A/depth.json", "run/run.json", "B_tele.txt", "A/notes_tele.txt"]
     captures = find_captures(fill(tmp_path, ["A/tele.jpg", "A/wide.jpg", *mess, *other]))
     assert found(captures) == {"A": ("A/tele.jpg", "A/wide.jpg")}
     assert captures.problems == ()
@@ -198,6 +198,8 @@ def the_problem(folder: Path) -> str:
         (["bad/tel.jpg", "bad/wide.jpg"], "found wide.jpg; rename tel.jpg to tele.jpg if that is it"),
         (["bad/tele.jpg", "bad/Wiede.JPG"], "found tele.jpg; rename Wiede.JPG to wide.JPG if that is it"),
         (["bad/tele.pfm", "bad/wide.jpg"], "the tele view is missing; found wide.jpg"),
+        (["bad/.DS_Store"], "bad holds no photo"),
+        (["bad/tele.txt", "bad/.thumbs/tele.jpg"], "bad holds no photo"),
     ],
 )
 def test_a_capture_that_cannot_be_used(tmp_path: Path, names: list[str], message: str) -> None:
@@ -277,6 +279,13 @@ def test_a_folder_of_other_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"it holds 1\.mp3, 2\.mp3, 3\.mp3, 4\.mp3, 5\.mp3 and 2 more") as caught:
         find_captures(fill(tmp_path, [f"{i}.mp3" for i in range(1, 8)]))
     assert "<name>/tele.*" in (caught.value.hint or "")
+
+
+def test_a_folder_of_empty_folders_names_them(tmp_path: Path) -> None:
+    for name in ("A", "B", "tele", "truth"):  # the latter two are those of the views
+        (tmp_path / name).mkdir()
+    with pytest.raises(InputError, match=r"A holds no photo\n.*B holds no photo$"):
+        find_captures(tmp_path)
 
 
 def test_nothing_left_lists_the_problems(tmp_path: Path) -> None:

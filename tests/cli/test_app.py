@@ -551,6 +551,59 @@ def test_a_place_that_cannot_be_a_folder_is_refused_before_the_work(
     assert "cannot be made" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("command", "words", "option"),
+    [
+        ("depth", ("--out", "file"), "--out"),
+        ("depth", ("--out", "mine"), "--out"),
+        ("depth", ("--run", "mine"), "--run"),
+        ("depth", ("--run-folder", "occupied"), "--run"),
+        ("depth", ("--run", "mine", "--out", "file"), "--out"),
+        ("depth", ("--run", "."), "--run"),
+        ("run", ("--out", "mine"), "--out"),
+    ],
+)
+def test_a_place_that_is_taken_names_the_option_that_was_typed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    words: tuple[str, ...],
+    option: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_captures(Path("depth"), count=1, hw=(96, 128))
+    for folder in ("mine/depth/000", "mine/000", "occupied"):
+        Path(folder).mkdir(parents=True)
+    for file in ("mine/depth/000/depth.npz", "mine/000/depth.npz", "occupied/depth", "file"):
+        Path(file).write_text("mine")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert run_cli(command, "depth", "--method", "sgm", *words) == 2
+    told = capsys.readouterr().err
+    hint = told.strip().splitlines()[-1]
+    assert hint.endswith(f" with {option}")
+    assert ("a folder for the results was expected" in told) is (words[-1] in ("file", "occupied"))
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.parametrize("quiet", [(), ("-q",)])
+def test_quiet_leaves_warnings_and_no_notes(captures: Path, quiet: tuple[str, ...]) -> None:
+    """As a program, whose log is that of no test runner."""
+    (captures / "rig.yaml").touch()
+    shutil.copyfile(captures / "000" / "tele.png", captures / "000" / "tele.jpeg")
+    words = ("depth", "captures", "--only", "000", "--method", "sgm", *quiet)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-m", "telewide", *words], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    lines = done.stderr.splitlines()
+    assert (f"note: {captures.name}/rig.yaml is not used" in done.stderr) is not bool(quiet)
+    warnings = [line for line in lines if line.startswith("warning: ")]
+    assert sum("two files for the tele view" in line for line in warnings) == 1
+    assert (lines == warnings) is bool(quiet)
+
+
 def test_weights_that_nothing_would_read_are_refused(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("some.safetensors").touch()
     words = ("depth", "--method", "sgm", "--weights", "some.safetensors")

@@ -28,6 +28,7 @@ def test_words_become_options() -> None:
         highlights=8,
     )
     assert BokehWords(strength="24").options() == BokehOptions(strength_px=24)
+    assert BokehWords(strength="24 PX").options() == BokehOptions(strength_px=24)
     assert BokehWords(strength="1.5%").options() == BokehOptions(strength_share=0.015)
     assert BokehWords(blades="6").options().aperture == Aperture(blades=6)
     assert BokehWords().options().aperture is DISK
@@ -40,6 +41,9 @@ def test_words_become_options() -> None:
         ({"strength": "-3%"}, "--strength"),
         ({"strength": "much"}, "--strength"),
         ({"strength": "nan"}, "--strength"),
+        ({"strength": "px"}, "--strength px: .* 24px"),
+        ({"strength": "3px%"}, "--strength"),
+        ({"strength": "24mm"}, "--strength"),
         ({"strength": "9", "f_number": 2.0}, "--f-number and --strength"),
         ({"f_number": 0.0}, "--f-number"),
         ({"f_number": float("inf")}, "--f-number"),

@@ -15,7 +15,7 @@ from rig_worlds import phone_rig, photos_of_a_plane
 
 from telewide.calibration.quality import CalibrationQuality
 from telewide.calibration.rig_file import RigFacts, StoredRig, write_stored_rig
-from telewide.capture.images import write_image
+from telewide.capture.images import read_image, write_image
 from telewide.cli import main
 from telewide.cli.console import console_observer, hand_over
 from telewide.cli.depth import depth_as_json, why_not_good
@@ -211,6 +211,35 @@ def test_another_bokeh_leaves_the_depth_files_and_a_picture_that_cannot_be_made_
     assert {path.name for path in (run / "depth" / "000").iterdir()} == {
         *("bokeh.jpg", "depth.json", "depth.npz", "disparity.pfm", "preview.png")
     }
+
+
+def test_another_bokeh_makes_the_kinds_of_picture_anew_that_lie_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The TIFF of a call shows what its JPEG shows, whose pixels are those of no other call."""
+    captures, run = tmp_path / "captures", tmp_path / "run"
+    write_captures(captures, count=1, seed=1, hw=(96, 144), factor=2)
+    folder, tries = run / "depth" / "000", ("near", "far", "auto")
+    depth(captures, run, "--bokeh", "--picture", "jpg,tif", "--strength", "6", "--focus", tries[0])
+    shown = []
+    for focus in tries:
+        capsys.readouterr()
+        depth(captures, run, "--bokeh", "--strength", "6", "--focus", focus)
+        told = capsys.readouterr().err
+        assert "measuring and correcting" not in told, "nor is it matched again"
+        assert "depth (sgm)" not in told
+        shown.append([read_image(folder / name) for name in ("bokeh.jpg", "bokeh.tif")])
+    for k, (jpg, tif) in enumerate(shown):
+        off = [float(np.abs(jpg - other[1]).mean()) for other in shown]
+        assert int(np.argmin(off)) == k
+        assert np.abs(jpg - tif).mean() < 0.02
+    depth(captures, run, "--bokeh", "--preview")
+    assert f"to look at: {folder / 'bokeh_preview.jpg'}\n" in capsys.readouterr().err
+    assert {path.name for path in folder.glob("bokeh*")} == {"bokeh.jpg", "bokeh.tif", "bokeh_preview.jpg"}
+    depth(captures, run, "--bokeh", "--picture", "jpg")
+    (folder / "bokeh.tif").write_bytes(b"mine")
+    depth(captures, run, "--bokeh", "--focus", "far")
+    assert (folder / "bokeh.tif").read_bytes() == b"mine", "no bokeh of telewide's lay there"
 
 
 def depth(captures: Path, run: Path, *words: str) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from telewide.capture.pair import Capture, CaptureFacts, Problem
+from telewide.capture.pair import Capture, CaptureFacts, CaptureSet, Problem
 from telewide.cli.console import bar
 from telewide.cli.progress import ConsoleObserver, captures_table
 from telewide.correction.verdict import PairReport, Verdict
@@ -87,6 +88,45 @@ def test_without_a_terminal_lines_say_how_far_it_is(total: int, every: int) -> N
     *lines, failed, last = console.file.getvalue().splitlines()
     assert lines == [f"depth (sgm) {number}/{total}: {number:03d}" for number in range(every, total, every)]
     assert (failed, last) == ("skipped: bad: why", f"depth (sgm) {total}/{total}: bad")
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_what_is_not_done_has_no_line(*, is_terminal: bool) -> None:
+    console = Console(file=io.StringIO(), width=200, force_terminal=is_terminal, legacy_windows=False)
+    observer = ConsoleObserver(console)
+    observer.preparing(CaptureSet(Path("captures"), (), CaptureFacts(), ()))
+    for is_kept in (True, True):
+        observer.pair_prepared("000", is_kept=is_kept)
+    observer.matching(3, method="sgm")
+    for name, words in (("000", {"is_kept": True}), ("001", {"is_depth_kept": True}), ("002", {})):
+        observer.depth_written(DepthOutcome(name, (), (), {}, **words))
+    observer.close()
+    assert isinstance(console.file, io.StringIO)
+    told = console.file.getvalue()
+    if not is_terminal:
+        assert told.splitlines()[1:] == ["files of kept depth 2/3: 001", "depth (sgm) 3/3: 002"]
+    else:
+        shown = _left_on_the_screen(told)
+        assert "measuring" in told
+        assert "measuring" not in shown
+        assert "depth (sgm)" in shown
+        assert "3/3" in shown
+
+
+def _left_on_the_screen(told: str) -> str:
+    """What a terminal shows at the end: lines are erased by ESC [ 2 K, the cursor goes up by ESC [ 1 A."""
+    lines, row = [""], 0
+    for part in re.findall(r"\x1b\[[0-9;?]*[A-Za-z]|\r|\n|[^\x1b\r\n]+", told):
+        if part == "\n":
+            row += 1
+            lines += [""] * (row == len(lines))
+        elif part == "\x1b[1A":
+            row -= 1
+        elif part == "\x1b[2K":
+            lines[row] = ""
+        elif not part.startswith("\x1b") and part != "\r":
+            lines[row] += part
+    return "\n".join(lines)
 
 
 def test_photos_of_a_roll_are_counted_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:

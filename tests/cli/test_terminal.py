@@ -50,9 +50,10 @@ def test_the_console_shows_them_in_lines_and_in_tables() -> None:
     assert printed.count(r"\x1b]0;owned\x07\x9b2J") == 3
 
 
-def test_the_log_shows_them() -> None:
-    record = logging.LogRecord("telewide", logging.WARNING, "file", 1, "note of %s", (ESCAPE,), None)
-    assert VisibleFormatter("%(message)s").format(record) == r"note of \x1b]0;owned\x07\x9b2J"
+@pytest.mark.parametrize(("level", "kind"), [(logging.INFO, "note"), (logging.WARNING, "warning")])
+def test_the_log_shows_them(level: int, kind: str) -> None:
+    record = logging.LogRecord("telewide", level, "file", 1, "facts of %s", (ESCAPE,), None)
+    assert VisibleFormatter().format(record) == kind + r": facts of \x1b]0;owned\x07\x9b2J"
 
 
 def test_notes_of_a_rig(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

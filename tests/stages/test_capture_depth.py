@@ -600,6 +600,7 @@ def test_files_of_a_kept_depth_are_those_of_one_just_matched(capture: Capture, t
     assert later.notes == at_once.notes
     same = ("focus_px", "focus_m", "EPE_px", "matches")
     assert {n: later.numbers.get(n) for n in same} == {n: at_once.numbers.get(n) for n in same}
+    assert later.numbers["focus_m"] == 0.6, "what is sharp, wherever the surface next to it is"
 
 
 def test_a_preview_stands_beside_the_picture_until_that_is_made_again(capture: Capture, tmp_path: Path) -> None:

@@ -117,12 +117,17 @@ def test_a_set_without_matches_says_where_its_reports_lie(
     assert (tmp_path / "run" / "pairs" / "one" / "pair.json").is_file()
 
 
-def test_photos_that_fail_are_counted_by_their_names(captures: Path, tmp_path: Path) -> None:
+def test_photos_that_fail_and_those_that_are_kept_are_counted_by_their_names(captures: Path, tmp_path: Path) -> None:
     root = Path(shutil.copytree(captures, tmp_path / "captures"))
     (root / "001" / "wide.png").write_bytes(b"no picture")
-    done: list[str] = []
-    prepare_captures(find_captures(root), RunFolder(tmp_path / "run"), recipe=load_recipe("quick"), tick=done.append)
-    assert done == ["000", "001"]
+    done: list[tuple[str, bool]] = []
+
+    def tick(name: str, *, is_kept: bool) -> None:
+        done.append((name, is_kept))
+
+    for _ in range(2):
+        prepare_captures(find_captures(root), RunFolder(tmp_path / "run"), recipe=load_recipe("quick"), tick=tick)
+    assert done == [("000", False), ("001", False), ("000", True), ("001", False)]
 
 
 def test_where_the_photos_of_a_rectified_pair_reach_lies_beside_it(
