@@ -113,11 +113,11 @@ def test_a_named_distance_is_told_as_that_of_the_sharp_plane(scene_px: np.ndarra
     f_px_m = float(scene_px.max()) * 1.84
     found = find_focus(scene_px, np.ones_like(scene_px), focus="1.8m", disparity_at_m=lambda depth_m: f_px_m / depth_m)
     assert found.is_on_surface
-    note = focus_note("000", found, depth_m=1.84, options=BokehOptions(focus="1.8m"))
+    place_px = f_px_m / 1.84
+    note = focus_note("000", found, place_px=place_px, depth_m=1.84, options=BokehOptions(focus="1.8m"))
     sharp, _, surface = note.partition(";")
-    assert "focused 1.8 m away" in sharp
-    assert f"{f_px_m / 1.8:.1f} px" in sharp
-    assert surface == f" nearest to that is x {found.x_px}, y {found.y_px}, 1.84 m away"
+    assert sharp == "000: bokeh is focused 1.8 m away"
+    assert surface == f" nearest to that is x {found.x_px}, y {found.y_px}, 1.84 m away, disparity {place_px:.1f} px"
 
 
 @pytest.mark.parametrize("focus", ["0m", "0.0 m"])
