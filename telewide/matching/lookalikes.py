@@ -22,7 +22,7 @@ from telewide.matching.doubt import ramp, share_within, std_of_error_px
 
 CELLS_ALONG = 320
 """Cells along the longer side of a picture; a small picture has its pixels."""
-REACH_CELLS, STEP_CELLS = 15, 3
+REACH_CELLS, STEP_CELLS = 24, 4
 """Radius of the disc of samples, and their distance from each other."""
 ALIKE = 15.0
 """Standard deviation of a channel, of 255, within what counts as one colour."""
@@ -34,9 +34,10 @@ NEAR_PX, SAME_PX = 1.5, 1.0
 """Samples near the median; and those that are averaged, with Tukey's weights."""
 SLOPE_GAIN = 0.5
 """A slope is taken where the samples scatter about it by less than this share of their scatter about one disparity."""
-TOLERANCE_STDS, TOLERANCE_PX = 3.0, (0.6, 6.0)
+TOLERANCE_STDS, TOLERANCE_PX = 3.0, (0.6, 30.0)
 """Distance a pixel may move: standard deviations of its error, and the least and the most."""
 
+_PASSES = 2  # the second follows what the first has made alike
 _SLOPE_CELLS = 2  # on each side, over which a slope is measured
 _FLATTEN_CELLS, _FLATTEN_COLOURS, _FLATTEN_TIMES = 9, 25.0, 2  # so that texture parts no surface
 _HALVINGS = 12
@@ -54,17 +55,22 @@ def follow_lookalikes(found: DisparityMap, ref: FloatImage) -> DisparityMap:
         The map with other disparities; confidence and what counts as measured are the same.
     """
     rows, columns = np.nonzero(found.confidence < UNSURE[0])
-    unsure = rows, columns
-    grid = _Grid.of(found, ref)
-    if not len(rows) or not len(grid.row):
-        return found
+    for _ in range(_PASSES):
+        grid = _Grid.of(found, ref)
+        if not len(rows) or not len(grid.row):
+            return found
+        found = _moved(found, (rows, columns), grid, ref)
+    return found
+
+
+def _moved(found: DisparityMap, pixels: tuple[IntArray, IntArray], grid: _Grid, ref: FloatImage) -> DisparityMap:
     disparity_px = found.disparity_px.copy()
-    new_px, agreed = _at_pixels(unsure, _followed(grid), grid, ref)
-    away_px = new_px - disparity_px[unsure]
-    std_px = std_of_error_px(_mean_around(found.confidence)[unsure])
-    pull = agreed * ramp(found.confidence[unsure], *UNSURE)
+    new_px, agreed = _at_pixels(pixels, _followed(grid), grid, ref)
+    away_px = new_px - disparity_px[pixels]
+    std_px = std_of_error_px(_mean_around(found.confidence)[pixels])
+    pull = agreed * ramp(found.confidence[pixels], *UNSURE)
     pull *= share_within(away_px, np.clip(TOLERANCE_STDS * std_px, *TOLERANCE_PX))
-    disparity_px[unsure] += pull * away_px
+    disparity_px[pixels] += pull * away_px
     return DisparityMap(disparity_px, found.confidence, found.valid)
 
 
