@@ -10,13 +10,12 @@ Letters: H W image; h w grid of cells; N unsure cells; K samples of each; M unsu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from telewide.geometry.arrays import FloatImage, FloatMap, IntArray
+from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap, IntArray
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.doubt import ramp, share_within, std_of_error_px
 
@@ -40,7 +39,9 @@ TOLERANCE_STDS, TOLERANCE_PX = 3.0, (0.6, 30.0)
 _PASSES = 2  # the second follows what the first has made alike
 _SLOPE_CELLS = 2  # on each side, over which a slope is measured
 _FLATTEN_CELLS, _FLATTEN_COLOURS, _FLATTEN_TIMES = 9, 25.0, 2  # so that texture parts no surface
-_HALVINGS = 12
+_HALVINGS = 9
+_SLOPES_OF = 2  # every other sample tells the slope
+_CELLS_AT_ONCE = 1024
 _TINY = np.float32(1e-6)
 
 
@@ -55,27 +56,24 @@ def follow_lookalikes(found: DisparityMap, ref: FloatImage) -> DisparityMap:
         The map with other disparities; confidence and what counts as measured are the same.
     """
     rows, columns = np.nonzero(found.confidence < UNSURE[0])
-    for _ in range(_PASSES):
-        grid = _Grid.of(found, ref)
-        if not len(rows) or not len(grid.row):
-            return found
-        found = _moved(found, (rows, columns), grid, ref)
-    return found
-
-
-def _moved(found: DisparityMap, pixels: tuple[IntArray, IntArray], grid: _Grid, ref: FloatImage) -> DisparityMap:
-    disparity_px = found.disparity_px.copy()
+    grid = _Grid.of(found, ref)
+    if not len(rows) or not len(grid.row):
+        return found
+    for _ in range(_PASSES - 1):
+        grid = grid.moved(_followed(grid))
+    pixels = rows, columns
     new_px, agreed = _at_pixels(pixels, _followed(grid), grid, ref)
+    disparity_px = found.disparity_px.copy()
     away_px = new_px - disparity_px[pixels]
-    std_px = std_of_error_px(_mean_around(found.confidence)[pixels])
-    pull = agreed * ramp(found.confidence[pixels], *UNSURE)
-    pull *= share_within(away_px, np.clip(TOLERANCE_STDS * std_px, *TOLERANCE_PX))
-    disparity_px[pixels] += pull * away_px
+    around = np.asarray(cv2.blur(found.confidence, (5, 5)), dtype=np.float32)[pixels]
+    disparity_px[pixels] += away_px * agreed * _openness(away_px, found.confidence[pixels], around=around)
     return DisparityMap(disparity_px, found.confidence, found.valid)
 
 
-def _mean_around(values: FloatMap) -> FloatMap:
-    return np.asarray(cv2.blur(values, (5, 5)), dtype=np.float32)
+def _openness(away_px: FloatMap, confidence: FloatMap, *, around: FloatMap) -> FloatMap:
+    """Share in [0, 1] of a move that a confidence, and its mean around, leave open."""
+    tolerance_px = np.clip(TOLERANCE_STDS * std_of_error_px(around), *TOLERANCE_PX)
+    return ramp(confidence, *UNSURE) * share_within(away_px, tolerance_px)
 
 
 @dataclass(frozen=True)
@@ -121,27 +119,58 @@ class _Grid:
             column,
         )
 
+    def moved(self, followed: _Followed) -> _Grid:
+        """Bring unsure cells to what they follow."""
+        away_px = followed.disparity_px - self.disparity_px
+        share = followed.agreed * _openness(away_px, self.confidence, around=self.confidence)
+        return replace(self, disparity_px=self.disparity_px + share * away_px)
+
 
 @dataclass(frozen=True)
 class _Followed:
     """Surfaces that unsure cells follow: disparity, its slope to the right and down a cell, share that is followed.
 
-    All (h, w); NaN where a cell is sure.
+    All (h, w); zero where a cell is sure.
     """
 
     disparity_px: FloatMap
     right_px: FloatMap
     down_px: FloatMap
     agreed: FloatMap
+    is_any: BoolMap
 
 
 def _followed(grid: _Grid) -> _Followed:
     reach = range(-REACH_CELLS, REACH_CELLS + 1, STEP_CELLS)
-    offsets = [(y, x) for y in reach for x in reach if y * y + x * x <= REACH_CELLS**2]
-    weights = _weights(grid, offsets)
-    samples_px = _sampled(grid.disparity_px, grid, offsets)
-    right_px, down_px = (_weighted_median(_sampled(s, grid, offsets), weights) for s in _slopes(grid.disparity_px))
-    y, x = np.array(offsets, dtype=np.float32).T[..., None]
+    offsets = np.array([(y, x) for y in reach for x in reach if y * y + x * x <= REACH_CELLS**2])
+    planes = [_bordered(plane) for plane in (grid.disparity_px, *_slopes(grid.disparity_px))]
+    colours = [_bordered(grid.flat[..., channel]) for channel in range(3)]
+    confidence = np.pad(grid.confidence, REACH_CELLS)  # nothing beyond the picture counts
+    width = confidence.shape[1]
+    followed = np.zeros((4, *grid.disparity_px.shape), np.float32)
+    for first in range(0, len(grid.row), _CELLS_AT_ONCE):
+        row, column = (each[first : first + _CELLS_AT_ONCE] for each in (grid.row, grid.column))
+        here = (row + REACH_CELLS) * width + column + REACH_CELLS
+        there = here + (offsets[:, :1] * width + offsets[:, 1:])
+        apart = sum(np.square(colour[there] - colour[here]) for colour in colours)
+        weights = (confidence.ravel()[there] + _TINY) * np.exp(apart * np.float32(-1 / (2 * ALIKE**2)))
+        followed[:, row, column] = _agreed(*(plane[there] for plane in planes), weights=weights, offsets=offsets)
+    disparity_px, right_px, down_px, agreed = followed
+    return _Followed(disparity_px, right_px, down_px, agreed, is_any=grid.confidence < UNSURE[0])
+
+
+def _bordered(plane: FloatMap) -> FloatMap:
+    """A plane continued beyond its sides, row after row."""
+    return np.pad(plane, REACH_CELLS, mode="edge").ravel()
+
+
+def _agreed(
+    samples_px: FloatMap, right_px: FloatMap, down_px: FloatMap, *, weights: FloatMap, offsets: IntArray
+) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
+    """(N,) disparity, slopes and share that is followed, of samples (K, N)."""
+    y, x = offsets.astype(np.float32).T[..., None]
+    some = slice(None, None, _SLOPES_OF)
+    right_px, down_px = (_weighted_median(s[some], weights[some], halvings=7) for s in (right_px, down_px))
     level_px, level_scatter_px = _middle(samples_px, weights)
     along = samples_px - right_px * x - down_px * y
     slope_px, slope_scatter_px = _middle(along, weights)
@@ -149,36 +178,9 @@ def _followed(grid: _Grid) -> _Followed:
     samples_px = np.where(is_sloped, along, samples_px)
     off_px = np.abs(samples_px - np.where(is_sloped, slope_px, level_px))
     agreed = ramp((weights * (off_px < NEAR_PX)).sum(axis=0) / weights.sum(axis=0), *AGREED)
-    same = weights * (1 - np.minimum(off_px / SAME_PX, 1) ** 2) ** 2
+    same = weights * np.square(1 - np.square(np.minimum(off_px / SAME_PX, 1)))
     mean_px = (same * samples_px).sum(axis=0) / np.maximum(same.sum(axis=0), _TINY)
-    return _Followed(*(_on_grid(v, grid) for v in (mean_px, is_sloped * right_px, is_sloped * down_px, agreed)))
-
-
-def _on_grid(values: FloatMap, grid: _Grid) -> FloatMap:
-    """(h, w) of the values (N,) of unsure cells."""
-    whole = np.full(grid.disparity_px.shape, np.nan, np.float32)
-    whole[grid.row, grid.column] = values
-    return whole
-
-
-def _weights(grid: _Grid, offsets: list[tuple[int, int]]) -> NDArray[np.float32]:
-    """(K, N) of the samples: colour and confidence; none beyond the picture."""
-    apart = np.zeros((len(offsets), len(grid.row)), dtype=np.float32)
-    for channel in range(3):
-        plane = np.ascontiguousarray(grid.flat[..., channel])
-        apart += np.square(_sampled(plane, grid, offsets) - plane[grid.row, grid.column])
-    confidence = _sampled(grid.confidence, grid, offsets, has_border=True) + _TINY
-    return np.asarray(confidence * np.exp(apart * np.float32(-1 / (2 * ALIKE**2))), dtype=np.float32)
-
-
-def _sampled(
-    plane: FloatMap, grid: _Grid, offsets: list[tuple[int, int]], *, has_border: bool = False
-) -> NDArray[np.float32]:
-    """(K, N) values of a plane around the unsure cells; beyond the picture its last ones, or zeros with a border."""
-    padded = np.pad(plane, REACH_CELLS, mode="constant" if has_border else "edge")
-    width = padded.shape[1]
-    at = (grid.row + REACH_CELLS) * width + grid.column + REACH_CELLS
-    return np.stack([padded.ravel()[at + y * width + x] for y, x in offsets])
+    return mean_px, is_sloped * right_px, is_sloped * down_px, agreed
 
 
 def _slopes(disparity_px: FloatMap) -> tuple[FloatMap, FloatMap]:
@@ -194,16 +196,16 @@ def _slopes(disparity_px: FloatMap) -> tuple[FloatMap, FloatMap]:
 
 def _middle(samples_px: FloatMap, weights: FloatMap) -> tuple[FloatMap, FloatMap]:
     """(N,) weighted median, and the mean distance from it."""
-    middle_px = _weighted_median(samples_px, weights)
+    middle_px = _weighted_median(samples_px, weights, halvings=_HALVINGS)
     scatter_px = (weights * np.abs(samples_px - middle_px)).sum(axis=0) / weights.sum(axis=0)
     return middle_px, np.asarray(scatter_px, dtype=np.float32)
 
 
-def _weighted_median(values: FloatMap, weights: FloatMap) -> FloatMap:
+def _weighted_median(values: FloatMap, weights: FloatMap, *, halvings: int) -> FloatMap:
     """(N,) of (K, N), to a small part of their range: halving that takes a tenth of the time of sorting."""
     low, high = values.min(axis=0), values.max(axis=0)
     half = weights.sum(axis=0) / 2
-    for _ in range(_HALVINGS):
+    for _ in range(halvings):
         middle = (low + high) / 2
         is_below = (weights * (values <= middle)).sum(axis=0) >= half
         low, high = np.where(is_below, low, middle), np.where(is_below, middle, high)
@@ -213,22 +215,26 @@ def _weighted_median(values: FloatMap, weights: FloatMap) -> FloatMap:
 def _at_pixels(
     pixels: tuple[IntArray, IntArray], followed: _Followed, grid: _Grid, ref: FloatImage
 ) -> tuple[FloatMap, FloatMap]:
-    """(M,) disparity that pixels follow, px, and how far: each takes the most alike of the four cells around it."""
+    """(M,) disparity that pixels follow, px, and how far: each takes the most alike of the unsure cells around it."""
     h, w = grid.disparity_px.shape
-    height, width = ref.shape[:2]
-    y, x = ((pixels[0] + 0.5) * (h / height) - 0.5, (pixels[1] + 0.5) * (w / width) - 0.5)
+    y, x = (
+        (side + np.float32(0.5)) * np.float32(n / of) - np.float32(0.5)
+        for side, n, of in zip(pixels, (h, w), ref.shape, strict=False)
+    )
     colour = 255 * ref[pixels]
-    best = np.full(len(y), np.inf, dtype=np.float32)
-    disparity_px, agreed = np.zeros_like(best), np.zeros_like(best)
+    below, right_of = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
+    best, cell = np.full(len(y), np.inf, dtype=np.float32), np.zeros(len(y), dtype=np.int64)
     for down in (0, 1):
+        row = np.clip(below + down, 0, h - 1)
         for right in (0, 1):
-            row = np.clip(np.floor(y).astype(np.int64) + down, 0, h - 1)
-            column = np.clip(np.floor(x).astype(np.int64) + right, 0, w - 1)
-            of_cell = followed.disparity_px[row, column]
-            apart = np.abs(grid.colour[row, column] - colour).sum(axis=1) + 2 * (np.abs(y - row) + np.abs(x - column))
-            is_best = np.isfinite(of_cell) & (apart < best)
-            best[is_best] = apart[is_best]
-            along_px = followed.right_px[row, column] * (x - column) + followed.down_px[row, column] * (y - row)
-            disparity_px[is_best] = (of_cell + along_px)[is_best]
-            agreed[is_best] = followed.agreed[row, column][is_best]
-    return disparity_px, agreed
+            column = np.clip(right_of + right, 0, w - 1)
+            here = row * w + column
+            apart = np.abs(grid.colour.reshape(-1, 3)[here] - colour).sum(axis=1)
+            apart += 2 * (np.abs(y - row) + np.abs(x - column))
+            apart[~followed.is_any.ravel()[here]] = np.inf
+            is_best = apart < best
+            best, cell = np.where(is_best, apart, best), np.where(is_best, here, cell)
+    row, column = np.divmod(cell, w)
+    along_px = followed.right_px.ravel()[cell] * (x - column) + followed.down_px.ravel()[cell] * (y - row)
+    agreed = np.where(np.isfinite(best), followed.agreed.ravel()[cell], 0)
+    return followed.disparity_px.ravel()[cell] + along_px, agreed.astype(np.float32)
