@@ -35,6 +35,8 @@ SLOPE_GAIN = 0.5
 """A slope is taken where the samples scatter about it by less than this share of their scatter about one disparity."""
 TOLERANCE_STDS, TOLERANCE_PX = 3.0, (0.6, 30.0)
 """Distance a pixel may move: standard deviations of its error, and the least and the most."""
+WHOLE_FROM = 0.15
+"""Pixels that would go this share of the way go all of it: what stays between two surfaces shines through in bokeh."""
 
 _PASSES = 2  # the second follows what the first has made alike
 _SLOPE_CELLS = 2  # on each side, over which a slope is measured
@@ -66,7 +68,8 @@ def follow_lookalikes(found: DisparityMap, ref: FloatImage) -> DisparityMap:
     disparity_px = found.disparity_px.copy()
     away_px = new_px - disparity_px[pixels]
     around = np.asarray(cv2.blur(found.confidence, (5, 5)), dtype=np.float32)[pixels]
-    disparity_px[pixels] += away_px * agreed * _openness(away_px, found.confidence[pixels], around=around)
+    share = agreed * _openness(away_px, found.confidence[pixels], around=around)
+    disparity_px[pixels] += away_px * ramp(share, 0, WHOLE_FROM)
     return DisparityMap(disparity_px, found.confidence, found.valid)
 
 

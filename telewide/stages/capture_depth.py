@@ -55,7 +55,9 @@ from telewide.stages.kept_depth import (
     PREVIEW_BOKEH_NAME,
     DepthPart,
     KeptDepth,
+    former_part,
     listed_files,
+    lost_of_former,
     put_in_place,
     read_kept,
     read_kept_depth,
@@ -174,10 +176,10 @@ def depth_of_capture(
             found = _kept(folder, source, photos, key=key, turned_deg=0 if shot is not None else facts.rotated_deg)
             found = found or _matched(source, held_out, photos, facts=facts, match=match, window=window, shot=shot)
             picture = found.bokeh(source, bokeh, beyond=beyond_frame(held_out, shot, photos))
-        made = _put(found, picture, folder, asked=found.asked(source, formats, bokeh, is_stripped=is_stripped), key=key)
+        asked = found.asked(source, formats, bokeh_names(bokeh), folder=folder, is_stripped=is_stripped)
+        return _put(found, picture, folder, asked=asked, key=key)
     except (InputError, UsageError) as error:
         return DepthFailure(source.name, error)
-    return replace(_outcome(source.name, folder, made), is_depth_kept=found.lying is not None)
 
 
 def _refuse_others_files(folder: Path, source: Capture, names: tuple[str, ...]) -> None:
@@ -218,12 +220,19 @@ class _Depth:
         return picture
 
     def asked(
-        self, source: Capture, formats: tuple[str, ...] | None, bokeh: BokehOptions | None, *, is_stripped: bool
+        self,
+        source: Capture,
+        formats: tuple[str, ...] | None,
+        pictures: tuple[str, ...],
+        *,
+        folder: Path,
+        is_stripped: bool,
     ) -> _Asked:
-        """Tell what is asked for; where no format is named, what lies there stays, and stays stripped."""
-        if formats is None and self.lying is not None:
-            formats, is_stripped = self.lying.depth.formats, is_stripped or self.lying.depth.is_stripped
-        return _Asked(source, self.turned_deg, formats or DEFAULT_FORMATS, bokeh_names(bokeh), is_stripped=is_stripped)
+        """Tell what is asked for; where no format is named, those that lie there, and stripped where they were."""
+        former = former_part(folder) if formats is None else None
+        if former is not None:
+            formats, is_stripped = former.formats, is_stripped or former.is_stripped
+        return _Asked(source, self.turned_deg, formats or DEFAULT_FORMATS, pictures, is_stripped=is_stripped)
 
 
 @dataclass(frozen=True)
@@ -320,8 +329,8 @@ def _put(
     *,
     asked: _Asked,
     key: Mapping[str, object],
-) -> KeptDepth:
-    """Write all files of one capture, which appear together."""
+) -> DepthOutcome:
+    """Write all files of one capture, which appear together, and tell what is gone."""
     with fresh_folder(folder.parent) as new:
         written = _write_depth(new, depth, former=folder, asked=asked)
         part = DepthPart(
@@ -333,8 +342,9 @@ def _put(
             numbers=dict(depth.numbers),
         )
         names = [path.name for path in written.paths]
-        # One of a name that is asked for would pass for it.
-        lying = [name for name in _bokeh_of(folder, new / NPZ_NAME) if name not in asked.pictures]
+        # One of a name that is asked for would pass for it; but what cannot be made replaces nothing.
+        replaced = () if bokeh is None or bokeh.files is None else asked.pictures
+        lying = [name for name in _bokeh_of(folder, new / NPZ_NAME) if name not in replaced]
         bokeh_files = _write_bokeh(new, bokeh, former=folder, taken=lying)
         names += bokeh_files
         unstripped, left = _unstripped(bokeh_files, bokeh, folder, asked=asked)
@@ -344,8 +354,12 @@ def _put(
         if depth.lying is not None:  # the depth stays that of the set it was matched with
             key = {**key, OF_SET: depth.lying.of_set}
         write_kept(new, made, key=key, source=asked.source.tele_path)
+        told = lost_of_former(folder, names, name=asked.source.name, key=key)
+        if lying and bokeh is not None and bokeh.files is None:
+            told += (f"{asked.source.name}: {', '.join(lying)}: there as an earlier call made it",)
         put_in_place(new, folder)
-    return made
+    outcome = _outcome(asked.source.name, folder, replace(made, notes=(*made.notes, *told)))
+    return replace(outcome, is_depth_kept=depth.lying is not None)
 
 
 def _write_depth(folder: Path, depth: _Depth, *, former: Path, asked: _Asked) -> WrittenDepth:

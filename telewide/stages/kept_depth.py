@@ -147,6 +147,41 @@ def read_kept(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     return _as_kept(record) if _is_whole(folder, record) else None
 
 
+def former_part(folder: Path) -> DepthPart | None:
+    """Read what a former call wrote of the depth in a folder, whatever it was made from; None where nothing tells.
+
+    Args:
+        folder: of one capture.
+    """
+    record = _record_in(folder)
+    return None if record is None else record.depth
+
+
+def lost_of_former(folder: Path, names: Collection[str], *, name: str, key: Mapping[str, object]) -> tuple[str, ...]:
+    """Say what a former call left that what is about to be put in its place does without.
+
+    Args:
+        folder: of one capture.
+        names: of the files that are put there.
+        name: of the capture.
+        key: everything these depend on.
+
+    Returns:
+        A sentence on files, and one on a distance that was known.
+    """
+    record = _record_in(folder)
+    if record is None:
+        return ()
+    lost = [file for file in record.files_bytes if file not in names and is_file(folder / file)]
+    told = [f"{name}: removed, for this call makes none: {', '.join(lost)}"] if lost else []
+    known = record.key.get("known")
+    if isinstance(known, dict) and not known.get("is_focus") and key.get("known") is None:
+        parts = [known.get(part) for part in ("x_px", "y_px", "distance_m")]
+        point = ",".join(f"{part:g}" for part in parts if isinstance(part, int | float))
+        told.append(f"{name}: what lay here was pinned by --distance {point}; without it metres are the rig's alone")
+    return tuple(told)
+
+
 def read_kept_depth(folder: Path, key: Mapping[str, object]) -> KeptDepth | None:
     """Read what lies in a folder, if its depth was made from the same, whatever else was made of it.
 

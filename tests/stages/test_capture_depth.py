@@ -69,9 +69,10 @@ def test_an_f_number_without_a_baseline_is_no_other_blur(capture: Capture, tmp_p
     strong, wide_open = BokehOptions(strength_px=3.0), BokehOptions(f_number=1.8)
     picture = tmp_path / "run" / "bokeh.jpg"
     assert picture in made(capture, tmp_path / "run", bokeh=strong).paths
+    before = picture.read_bytes()
     outcome = made(capture, tmp_path / "run", bokeh=wide_open)
-    assert not picture.exists()
-    assert picture not in outcome.paths
+    assert picture.read_bytes() == before
+    assert any("bokeh.jpg: there as an earlier call made it" in note for note in outcome.notes)
     (told,) = outcome.shortcomings
     assert "`f_number`" in told
     assert "`strength`" in told
@@ -530,7 +531,7 @@ def made_again(
     match: Matching,
     *,
     bokeh: BokehOptions | None = None,
-    formats: tuple[str, ...] = DEFAULT_FORMATS,
+    formats: tuple[str, ...] | None = DEFAULT_FORMATS,
     matcher: str = "network 1",
 ) -> DepthOutcome:
     """Depth whose key names the photo and the matcher, as a call does."""
@@ -559,6 +560,36 @@ def test_another_bokeh_or_format_matches_nothing_again(capture: Capture, tmp_pat
     assert match.calls == 1
     assert (folder / "depth.npz").stat().st_mtime_ns == stamp
     assert {name: more.numbers[name] for name in first.numbers} == dict(first.numbers)
+
+
+def test_depth_that_is_matched_again_keeps_its_formats_and_tells_what_is_gone(capture: Capture, tmp_path: Path) -> None:
+    folder, match, formats = tmp_path / "run", Matching(), ("npz", "mm", "tiff")
+    made_again(capture, folder, match, bokeh=BokehOptions(), formats=formats)
+    again = made_again(capture, folder, match, matcher="network 2", formats=None)
+    assert match.calls == 2
+    assert {path.name for path in again.paths} >= {"depth_mm.png", "depth.tif"}
+    assert not any("removed" in note for note in again.notes)
+    fewer = made_again(capture, folder, match, matcher="network 2", formats=("npz", "pfm"))
+    assert any(note.endswith("makes none: depth_mm.png, depth.tif") for note in fewer.notes)
+    told_once = made_again(capture, folder, match, matcher="network 2", formats=("npz", "pfm"))
+    assert not any("removed" in note for note in told_once.notes)
+
+
+def test_metres_that_were_pinned_and_are_not_now_are_told(capture: Capture, tmp_path: Path) -> None:
+    folder, known = tmp_path / "run", {"x_px": 3.0, "y_px": 40.0, "distance_m": 0.9, "is_focus": False}
+    for key, is_told in (({"known": known}, False), ({"known": None}, True), ({"known": None}, False)):
+        outcome = depth_of_capture(
+            capture,
+            HeldOut(capture, np.zeros((0, 2)), np.zeros(0)),
+            folder,
+            facts=METRIC,
+            match=stepped,
+            window=WINDOW,
+            bokeh=None,
+            key=key,
+        )
+        assert isinstance(outcome, DepthOutcome)
+        assert any("--distance 3,40,0.9" in note for note in outcome.notes) is is_told
 
 
 def test_another_photo_or_other_weights_match_again(capture: Capture, tmp_path: Path) -> None:
