@@ -58,6 +58,14 @@ def test_the_rim_of_a_board_returns_to_the_board(stray_px: float, slant: float) 
     assert made.valid is found.valid
 
 
+def test_a_pixel_that_follows_does_not_stop_between_two_surfaces() -> None:
+    """Half unsure, it would go half the way."""
+    inside = board()
+    strayed = rim(inside)
+    made = follow_lookalikes(matched(depth_of(inside) - 1.2 * strayed, confidence=0.8), photo_of(inside))
+    np.testing.assert_allclose(made.disparity_px[strayed], 15, atol=0.2)
+
+
 def test_the_rim_stays_where_nothing_tells_board_from_wall() -> None:
     """Half of what looks alike lies at either depth: it does not agree."""
     inside = np.zeros(HW, dtype=np.bool_)
