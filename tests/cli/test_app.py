@@ -145,6 +145,23 @@ def test_unknown_choice_names_the_nearest(captures: Path, capsys: pytest.Capture
         assert "Value error" not in text
 
 
+@pytest.mark.parametrize(("device", "meant"), [("gpu", "cuda"), ("GPU", "cuda"), ("cpus", "cpu"), ("tpu", "cpu")])
+def test_a_device_is_known_by_its_other_name(device: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["depth", "--device", device])
+    assert f"Did you mean {meant}?" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_photo_instead_of_the_folder_is_answered_with_the_call_that_works(
+    captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo = next((captures / "001").glob("tele.*"))
+    words = ("depth", str(photo.relative_to(captures.parent)), "--method", "sgm", "--out", "my depth")
+    one = "telewide depth captures/001 --method sgm --out 'my depth'"
+    refused(capsys, *words, code=2, names=(f"{Path(words[1])} is a file", f"name the folder that holds it: {one}\n"))
+    assert run_cli(*shlex.split(one)[1:], "--quiet") == 0
+
+
 def test_a_second_folder_of_captures_names_the_option_that_chooses(
     captures: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
