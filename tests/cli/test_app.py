@@ -191,9 +191,26 @@ def test_depth_without_a_training_is_of_the_network_in_the_box(
     assert "network that comes with telewide" in told
     assert "telewide train 'my pairs'" in told
     assert not Path("run").exists()
+    assert run_cli("depth", "my pairs", "--out", "d1", "--bokeh") == 0
+    assert "matched by" not in capsys.readouterr().err, "its depth lies there"
     assert run_cli("depth", "my pairs", "--out", "d2", "--weights", str(BOX_WEIGHTS)) == 0
     for made in sorted(Path("d1").glob("*/disparity.pfm")):
         assert made.read_bytes() == (Path("d2") / made.parent.name / made.name).read_bytes()
+
+
+def test_a_call_that_fails_on_all_captures_matches_nothing_and_leaves_no_folder(
+    captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that was there before stays."""
+    for photo in captures.glob("*/wide.*"):
+        photo.write_bytes(photo.read_bytes()[:300])
+    Path("mine").mkdir()
+    for out in ("new/deep", "mine"):
+        assert run_cli("depth", "--out", out) == 3
+        assert "matched by" not in capsys.readouterr().err
+    assert run_cli("depth") == 3
+    assert sorted(path.name for path in Path().iterdir()) == ["captures", "mine"]
+    assert not list(Path("mine").iterdir())
 
 
 def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:
