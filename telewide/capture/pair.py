@@ -48,6 +48,10 @@ _KEEP_WHOLE = "photos as a phone took them are not cropped, but need a rig"
 _log = logging.getLogger("telewide")
 
 
+class UnlikeSizesError(InputError):
+    """Sizes of two photos that are not those of one view: they are not rectified."""
+
+
 @dataclass(frozen=True)
 class PhotoPair:
     """Two photos as they were taken, each of its own size.
@@ -252,7 +256,7 @@ def _check_factor(labels: tuple[str, str], tele: FloatImage, wide: FloatImage, f
         hint = _CROP if facts is not None and facts.rectified else f"{_KEEP_WHOLE}; if these are rectified, {_CROP}"
         if turned_lowest < turned_highest:
             hint = "turn one of them by 90 degrees"
-        raise InputError(f"{sizes}; no common factor explains the two sizes", hint=hint)
+        raise UnlikeSizesError(f"{sizes}; no common factor explains the two sizes", hint=hint)
     if highest <= 1:
         raise InputError(f"{sizes}; tele must not be the smaller one", hint="are the two views swapped?")
     factor = float(np.sqrt(tele.size / wide.size))

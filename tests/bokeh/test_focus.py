@@ -132,7 +132,9 @@ def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str
         find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: depth_m)
 
 
-@pytest.mark.parametrize("focus", ["", "nearest", "-2m", "1,2m", "m", "cm", "80c m", "80mm", "12", "1,2,3", "a,b", "nan,3", "3,inf"])
+@pytest.mark.parametrize(
+    "focus", ["", "nearest", "-2m", "1,2m", "m", "cm", "80c m", "80mm", "12", "1,2,3", "a,b", "nan,3", "3,inf"]
+)
 def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="X,Y"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
