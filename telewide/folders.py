@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from telewide.errors import InputError
@@ -93,6 +93,26 @@ def fresh_folder(parent: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Make a folder, which is removed in the end, with the parents made for it, where nothing was written into it.
+
+    Args:
+        folder: may be there already; then it stays.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    made = [place for place in (folder, *folder.parents) if not is_there(place)]
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for place in made:
+                place.rmdir()  # only where nothing was written
+
+
+@contextmanager
 def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
     """Work in a folder while no other telewide does; wait for one that does.
 
@@ -104,18 +124,13 @@ def alone_in(folder: Path, *, waiting: Callable[[str], None]) -> Iterator[None]:
         MissingPartError: the disk is full.
         UsageError: the folder cannot be made.
     """
-    made = [place for place in (folder, *folder.parents) if not is_there(place)]
-    with changing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY)
-    try:
+    with ExitStack() as held:
+        with changing(folder):
+            held.enter_context(made_folder(folder))
+            descriptor = os.open(folder, os.O_RDONLY)
+        held.callback(os.close, descriptor)  # ends the lock, as the end of the process does
         _lock(descriptor, folder, waiting)
         yield
-    finally:
-        os.close(descriptor)  # ends the lock, as the end of the process does
-        with suppress(OSError):
-            for place in made:
-                place.rmdir()  # only where nothing was written
 
 
 def _lock(descriptor: int, folder: Path, waiting: Callable[[str], None]) -> None:

@@ -19,7 +19,7 @@ from telewide.cores import Device
 from telewide.errors import UsageError
 from telewide.recipe import Recipe
 from telewide.stages.call import begun
-from telewide.stages.depth import DepthOptions, DepthRun, compute_depth, make_folder, refuse_what_cannot_be
+from telewide.stages.depth import DepthOptions, DepthRun, compute_depth, refuse_what_cannot_be, results_folder
 from telewide.stages.match import choose_matcher
 from telewide.stages.observer import Observer
 from telewide.stages.prepare import prepare
@@ -108,9 +108,9 @@ def depth_captures(
         refuse_what_cannot_be(call, options)
         out = options.out or call.folder.depth
         matcher = choose_matcher(call, method=options.method, weights=options.weights, out=out)
-        make_folder(call, options)
-        pairs = prepare(call)
-        return report_depth(call, compute_depth(call, pairs, matcher, options=options), bokeh=options.bokeh)
+        with results_folder(call, options):
+            pairs = prepare(call)
+            return report_depth(call, compute_depth(call, pairs, matcher, options=options), bokeh=options.bokeh)
 
 
 def run_captures(

@@ -24,7 +24,7 @@ AF_WORD = "af"
 CONFIDENT = 0.5
 POINT_WINDOW_PX = 2
 SAME_SURFACE_PX = 1.0
-_DISTANCE = re.compile(r"(\d*\.?\d+|\d+\.)\s*m")
+_DISTANCE = re.compile(r"(\d*\.?\d+|\d+\.)\s*(c?)m")
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ def find_focus(
     Args:
         disparity_px: (H, W) float32, px, on the tele photo.
         confidence: (H, W) float32 in [0, 1].
-        focus: "X,Y", a point of the tele photo in px; "2.5m", a distance along the optical axis; "near" or "far", the
-            nearest or farthest confident surface; "auto", the subject, sharp in its whole depth.
+        focus: "X,Y", a point of the tele photo in px; "2.5m" or "80cm", a distance along the optical axis; "near" or
+            "far", the nearest or farthest confident surface; "auto", the subject, sharp in its whole depth.
         disparity_at_m: tells the disparity at a distance, px; None where metres are not known.
 
     Returns:
@@ -94,7 +94,7 @@ def find_focus(
 
 
 def named_distance_m(focus: str) -> float | None:
-    """Distance that a focus names, such as "2.5m"; None where it names none.
+    """Distance that a focus names, such as "2.5m" or "80cm"; None where it names none.
 
     Args:
         focus: as in :func:`find_focus`.
@@ -105,7 +105,7 @@ def named_distance_m(focus: str) -> float | None:
     found = _DISTANCE.fullmatch(_word(focus))
     if found is None:
         return None
-    distance_m = float(found[1])
+    distance_m = float(found[1]) / (100 if found[2] else 1)
     if not (math.isfinite(distance_m) and distance_m > 0):
         raise UsageError(f"focus {focus!r}: a distance above 0 m was expected")
     return distance_m
@@ -128,7 +128,7 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
         column, row = math.floor(x + 0.5), math.floor(y + 0.5)
     except (ValueError, OverflowError):  # also of nan and inf
         raise UsageError(
-            f"focus {focus!r}: expected X,Y in pixels of the tele photo, a distance such as 2.5m, or one of "
+            f"focus {focus!r}: expected X,Y in pixels of the tele photo, a distance such as 2.5m or 80cm, or one of "
             f"{', '.join((*FOCUS_WORDS, AF_WORD))}",
             hint=f"did you mean {_word(focus)}m?" if _DISTANCE.fullmatch(f"{_word(focus)}m") else None,
         ) from None

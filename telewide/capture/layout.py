@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,11 +38,12 @@ from telewide.capture.view_files import (
     photos_among,
     visible_entries,
 )
-from telewide.errors import InputError
+from telewide.errors import InputError, UsageError
 from telewide.files import is_file, is_folder, refuse_other_than_folder
 
 _TRUTH_SUFFIX = ".pfm"
 TRUTH = "truth"
+_THE_SAME = "are the same picture; two different photos were expected"
 _UNREAD, _CLOSED, _OTHER, _BARE = "unread", "closed", "other", "bare"
 _ALIKE = 0.6  # of names, by difflib
 _MAX_LISTED = 5
@@ -108,11 +109,12 @@ class CaptureSet:
     problems: tuple[Problem, ...]
 
 
-def find_captures(folder: Path) -> CaptureSet:
+def find_captures(folder: Path, *, advised: Callable[[Path], str] = str) -> CaptureSet:
     """Find the captures in a folder, whatever its layout.
 
     Args:
         folder: holds captures in any of the layouts above, or is one capture.
+        advised: writes the call that takes another folder, which is advised where a photo was named.
 
     Returns:
         The captures with the facts of ``captures.yaml``.
@@ -121,6 +123,9 @@ def find_captures(folder: Path) -> CaptureSet:
         UsageError: there is no such folder.
         InputError: no capture is left, or ``captures.yaml`` cannot be used.
     """
+    if is_picture(folder):
+        hint = f"name the folder that holds it: {advised(_folder_of(folder))}"
+        raise UsageError(f"{folder} is a file; a folder with captures was expected", hint=hint)
     refuse_other_than_folder(folder, expected="a folder with captures")
     candidates = _candidates(folder)
     captures, problems = _choose(candidates)
@@ -129,6 +134,15 @@ def find_captures(folder: Path) -> CaptureSet:
     facts_path = _facts_path(folder, captures)
     facts = CaptureFacts() if facts_path is None else read_facts(facts_path)
     return CaptureSet(folder, tuple(captures), facts, tuple(problems))
+
+
+def _folder_of(photo: Path) -> Path:
+    """Choose the folder to name instead of a photo: the nearest that holds captures, if one does."""
+    for folder in (photo.parent, photo.parent.parent):
+        with suppress(InputError):
+            if _choose(_candidates(folder))[0]:
+                return folder
+    return photo.parent
 
 
 def _candidates(folder: Path) -> _Candidates:
@@ -252,7 +266,7 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
             return f"the {view} view is missing; found {listed(present)}{_misspelt(view, roles.get(_OTHER, []))}"
     tele, wide = _pair(roles)
     if is_same_file(tele, wide):
-        return f"{tele} and {wide} are the same picture; two different photos were expected"
+        return f"{tele} and {wide} {_THE_SAME}"
     return None
 
 
@@ -295,6 +309,8 @@ def _nothing_found(folder: Path, problems: list[Problem]) -> InputError:
     if problems:
         told = "".join(f"\n  {problem.name}: {problem.message}" for problem in problems[:_MAX_LISTED])
         more = f"\n  and {len(problems) - _MAX_LISTED} more" if len(problems) > _MAX_LISTED else ""
+        if all(problem.message.endswith(_THE_SAME) for problem in problems):
+            hint = "put the photo of the other lens in the place of one of the two"
         return InputError(f"{folder} holds no capture that can be used:{told}{more}", hint=hint)
     inside = f"it holds {listed(entries)}" if entries else "it is empty"
     return InputError(f"{folder} holds no captures: {inside}", hint=hint)

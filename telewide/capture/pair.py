@@ -43,7 +43,13 @@ __all__ = [
 MIN_SIDE_PX = 32
 # A stated asymmetry this far from the measured ratio of sizes is worth a word.
 _FACTOR_TOLERANCE = 0.1
+_CROP = "crop wide to what tele shows"
+_KEEP_WHOLE = "photos as a phone took them are not cropped, but need a rig"
 _log = logging.getLogger("telewide")
+
+
+class UnlikeSizesError(InputError):
+    """Sizes of two photos that are not those of one view: they are not rectified."""
 
 
 @dataclass(frozen=True)
@@ -247,8 +253,10 @@ def _check_factor(labels: tuple[str, str], tele: FloatImage, wide: FloatImage, f
     sizes = f"{labels[0]} is {_size(tele_hw)} px and {labels[1]} is {_size(wide_hw)} px"
     if lowest >= highest:
         turned_lowest, turned_highest = _factor_range(tele_hw, wide_hw[::-1])
-        hint = "turn one of them by 90 degrees" if turned_lowest < turned_highest else "crop both to the same view"
-        raise InputError(f"{sizes}; no common factor explains the two sizes", hint=hint)
+        hint = _CROP if facts is not None and facts.rectified else f"{_KEEP_WHOLE}; if these are rectified, {_CROP}"
+        if turned_lowest < turned_highest:
+            hint = "turn one of them by 90 degrees"
+        raise UnlikeSizesError(f"{sizes}; no common factor explains the two sizes", hint=hint)
     if highest <= 1:
         raise InputError(f"{sizes}; tele must not be the smaller one", hint="are the two views swapped?")
     factor = float(np.sqrt(tele.size / wide.size))

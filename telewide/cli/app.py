@@ -40,6 +40,7 @@ from telewide.training.processes import this_process
 _ISSUES_HINT = "the command and the lines above"
 _UNKNOWN_CHOICE = re.compile(r"'(?P<given>[^']*)' is not one of (?P<known>.*)\.$")
 _QUOTED = re.compile("'([^']*)'")
+_ALSO_CALLED = {"gpu": "cuda"}
 
 app = typer.Typer(
     name="telewide",
@@ -140,7 +141,8 @@ def _sentence_of_parser(message: str) -> str:
     message = message.removeprefix("Value error, ")
     if choice := _UNKNOWN_CHOICE.search(message):
         known = _QUOTED.findall(choice["known"])
-        nearest = difflib.get_close_matches(choice["given"].casefold(), known, n=1)
+        given = choice["given"].casefold()
+        nearest = difflib.get_close_matches(_ALSO_CALLED.get(given, given), known, n=1)
         return f"{message} Did you mean {nearest[0]}?" if nearest else message
     if message.startswith("Got unexpected extra argument"):
         return f"{message}; a folder holds many captures, and --only NAME, which may be repeated, takes some of them"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from telewide.bokeh.aperture import Aperture
     from telewide.bokeh.picture import BokehOptions, PictureKind
 
-FocusOption = Annotated[str, typer.Option(metavar="X,Y|2.5m|near|far|auto|af", help="What is sharp in the bokeh.")]
+FocusOption = Annotated[str, typer.Option(metavar="X,Y|2.5m|80cm|near|far|auto|af", help="What is sharp in the bokeh.")]
 FNumberOption = Annotated[
     float | None, typer.Option(help="Aperture of the lens to imitate; needs the lenses' distance.")
 ]

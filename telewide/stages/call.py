@@ -93,14 +93,16 @@ def begun(
         UsageError: a folder, file or capture that is not there.
         InputError: photos straight from a phone have no rig; a folder in the run folder is a link.
     """
-    folder, captures = locate_run(run, captures_root), _chosen(find_captures(captures_root), only)
+    folder = locate_run(run, captures_root)
+    invocation = observer.invocation or Invocation("train", (captures_root,), {"out": run, "rig": rig})
+    found = find_captures(captures_root, advised=lambda other: invocation.instead(invocation.command, other))
+    captures = _chosen(found, only)
     _refuse_captures_as_run(captures_root, folder)
     found_rig = locate_rig(rig, captures)
     refuse_without_rig(captures, rig=found_rig)
     for place in (folder.pairs, folder.train, folder.depth):
         refuse_links(folder.root, place)
     with joined_processes(device) as processes:
-        by_program = Invocation("train", (captures_root,), {"out": run, "rig": rig})
         yield Call(
             captures=captures,
             folder=folder,
@@ -110,7 +112,7 @@ def begun(
             observer=observer,
             rig=found_rig,
             rig_file=rig,
-            invocation=observer.invocation or by_program,
+            invocation=invocation,
             deadline_s=deadline_s,
         )
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -17,6 +18,7 @@ from telewide.cores import Device
 from telewide.depth.pin import KnownDistance, focused_at
 from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, is_file, is_folder, is_there
+from telewide.folders import made_folder
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
 from telewide.matching.window import Window, joined_window
@@ -184,8 +186,9 @@ def _refuse_outside(known: KnownDistance, *, hw: tuple[int, int] | None) -> None
         )
 
 
-def make_folder(call: Call, options: DepthOptions) -> None:
-    """Make the folder for the results, before anything is computed.
+@contextmanager
+def results_folder(call: Call, options: DepthOptions) -> Iterator[None]:
+    """Make the folder for the results, before anything is computed; it does not stay where nothing is written.
 
     Args:
         call: its run folder is the usual place.
@@ -198,10 +201,12 @@ def make_folder(call: Call, options: DepthOptions) -> None:
     hint = f"name another folder with {_elsewhere(call, options)}"
     if is_there(folder) and not is_folder(folder):
         raise UsageError(f"{folder} is a file; a folder for the results was expected", hint=hint)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be made: {error.strerror or error}", hint=hint) from error
+    with ExitStack() as made:
+        try:
+            made.enter_context(made_folder(folder))
+        except OSError as error:
+            raise UsageError(f"{folder} cannot be made: {error.strerror or error}", hint=hint) from error
+        yield
 
 
 def compute_depth(call: Call, prepared: PreparedSet, matcher: Matcher, *, options: DepthOptions) -> DepthRun:

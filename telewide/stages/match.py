@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from telewide.errors import InputError, UsageError
 from telewide.files import fingerprint, is_file, is_there
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.stereo import DisparityMap, ValidMasks
-from telewide.matching.matcher import LEARNED_STD, WITH_CONFIDENCE, Matcher
+from telewide.matching.matcher import LEARNED_STD, WITH_CONFIDENCE, Match, Matcher
 from telewide.matching.methods import Method
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
@@ -48,21 +49,39 @@ def choose_matcher(call: Call, *, method: Method, weights: Path | None, out: Pat
         InputError: the weights cannot be read.
         MissingPartError: cuda was asked for and is not there.
     """
-    path = weights or call.folder.weights
+    path, told = weights or call.folder.weights, None
     if method != "sgm" and weights is not None and not is_there(weights):
         raise UsageError(f"{path} does not exist; a weights file was expected")
     if method != "sgm" and weights is None and not is_file(path):
         path = BOX_WEIGHTS
         training = call.invocation.instead("train")
-        call.observer.said(f"matched by the network that comes with telewide; to adapt it to your photos: {training}")
+        told = f"matched by the network that comes with telewide; to adapt it to your photos: {training}"
     goes_on = "" if weights else f"; {call.invocation.instead('train')} goes on"
     matcher = read_matcher(
         path, method=method, device=call.device, doubted=lambda doubt: call.observer.said(f"{doubt}{goes_on}")
     )
+    if told is not None:
+        matcher = replace(matcher, match=_TellingMatch(matcher.match, partial(call.observer.said, told)))
     lying = {matcher_of(out / capture.name) for capture in call.captures.captures}
     if lying != {matcher.name} or call.device == "cuda":
         matcher.load()
     return matcher
+
+
+class _TellingMatch:
+    """A match that tells something before the first pair."""
+
+    def __init__(self, match: Match, tell: Callable[[], None]) -> None:
+        self._match, self._tell, self._is_told = match, tell, False
+
+    def __call__(
+        self, ref: FloatMap, src: FloatMap, *, window: Window, valid: ValidMasks | None = None
+    ) -> DisparityMap:
+        """Match two views."""
+        if not self._is_told:
+            self._tell()
+            self._is_told = True
+        return self._match(ref, src, window=window, valid=valid)
 
 
 def read_matcher(

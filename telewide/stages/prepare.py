@@ -27,6 +27,7 @@ from telewide.capture.pair import (
     PhotoPair,
     Problem,
     RectifiedPair,
+    UnlikeSizesError,
     pair_from_photos,
     read_photos,
 )
@@ -152,7 +153,7 @@ def prepare_captures(
     captures = with_checked_lenses(captures)
     store = photos or PhotoStore(max_bytes=0)
     pairs: list[PreparedPair] = []
-    n_refused = 0
+    n_refused, n_unlike = 0, 0
     problems = [*captures.problems, *(check_sizes(captures) if rig is None else ())]
     for capture in captures.captures:
         try:
@@ -160,6 +161,7 @@ def prepare_captures(
                 prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig, photos=store)
         except (InputError, UsageError) as error:
             problems.append(Problem(capture.name, f"{error.message}; {error.hint}" if error.hint else error.message))
+            n_unlike += isinstance(error, UnlikeSizesError)
             prepared = None
         if prepared is not None and prepared.report.verdict == "refused":
             problems.append(Problem(capture.name, "; ".join(prepared.report.reasons)))
@@ -171,7 +173,7 @@ def prepare_captures(
         if tick is not None:
             tick(capture.name, is_kept=prepared is not None and prepared.is_kept)
     if not pairs:
-        raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None)
+        raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None and n_refused + n_unlike > 0)
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig)
 
 

@@ -11,6 +11,7 @@ from telewide.capture.facts import FACTS_FILE
 from telewide.capture.importer import is_imported
 from telewide.capture.pair import CaptureSet
 from telewide.errors import InputError, UsageError
+from telewide.files import is_there
 from telewide.text import command_line
 
 _log = logging.getLogger("telewide")
@@ -34,8 +35,11 @@ def locate_rig(stated: Path | None, captures: CaptureSet) -> StoredRig | None:
     lying = lying_rig(captures)
     if captures.facts.rectified:
         if stated is not None:
+            states = f"captures.yaml of {captures.root} states that its captures are rectified"
+            if not is_there(stated):
+                raise UsageError(f"there is no rig file {stated}", hint=f"leave --rig out: {states}")
             raise UsageError(
-                f"--rig {stated}: captures.yaml of {captures.root} states that its captures are rectified",
+                f"--rig {stated}: {states}",
                 hint="remove 'rectified: true' there, or leave --rig out",
             )
         if lying is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from bokeh.layered_world import reference_world
 
-from telewide.bokeh.focus import Focus, find_focus, named_focus
+from telewide.bokeh.focus import Focus, find_focus, named_distance_m, named_focus, named_point
 from telewide.bokeh.picture import BokehOptions, bokeh_picture, bokeh_preview, focus_note
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
@@ -96,6 +96,12 @@ def test_a_distance_is_the_plane_at_it(scene_px: np.ndarray) -> None:
         find_focus(scene_px, confidence, focus="2.5m")
 
 
+@pytest.mark.parametrize(("focus", "metres"), [("80cm", 0.8), (" 12.5 CM ", 0.125), ("250cm", 2.5), ("2.5m", 2.5)])
+def test_a_distance_may_be_in_centimetres(focus: str, metres: float) -> None:
+    assert named_distance_m(focus) == pytest.approx(metres)
+    assert named_point(focus, hw=None) is None
+
+
 @pytest.mark.parametrize("focus", ["50m", "0.1m", "4m"])
 def test_a_distance_at_which_nothing_is_says_so_and_contradicts_itself_in_nothing(
     scene_px: np.ndarray, focus: str
@@ -120,13 +126,15 @@ def test_a_named_distance_is_told_as_that_of_the_sharp_plane(scene_px: np.ndarra
     assert surface == f" nearest to that is x {found.x_px}, y {found.y_px}, 1.84 m away, disparity {place_px:.1f} px"
 
 
-@pytest.mark.parametrize("focus", ["0m", "0.0 m"])
+@pytest.mark.parametrize("focus", ["0m", "0.0 m", "0cm"])
 def test_a_distance_of_nothing_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="above 0 m"):
         find_focus(scene_px, np.ones_like(scene_px), focus=focus, disparity_at_m=lambda depth_m: depth_m)
 
 
-@pytest.mark.parametrize("focus", ["", "nearest", "-2m", "1,2m", "m", "12", "1,2,3", "a,b", "nan,3", "3,inf"])
+@pytest.mark.parametrize(
+    "focus", ["", "nearest", "-2m", "1,2m", "m", "cm", "80c m", "80mm", "12", "1,2,3", "a,b", "nan,3", "3,inf"]
+)
 def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> None:
     with pytest.raises(UsageError, match="X,Y"):
         found_px(scene_px, np.ones_like(scene_px), focus=focus)

@@ -269,6 +269,36 @@ def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
         find_captures(fill(tmp_path, ["a.jpg"]) / "a.jpg")
 
 
+@pytest.mark.parametrize(
+    ("photos", "folder"),
+    [
+        (["set/000/tele.jpg", "set/000/wide.jpg"], "set/000"),
+        (["set/a_tele.jpg", "set/a_wide.jpg"], "set"),
+        (["set/tele/a.jpg", "set/wide/a.jpg"], "set"),
+        (["set/odd.jpg"], "set"),
+    ],
+)
+def test_a_photo_instead_of_its_folder_is_answered_with_the_folder(
+    tmp_path: Path, photos: list[str], folder: str
+) -> None:
+    with pytest.raises(UsageError, match="is a file") as caught:
+        find_captures(fill(tmp_path, photos) / photos[0])
+    assert caught.value.hint == f"name the folder that holds it: {tmp_path / folder}"
+
+
+def test_the_hint_on_a_photo_given_twice_does_not_speak_of_names(tmp_path: Path) -> None:
+    for name in ("A/tele.jpg", "A/wide.jpg"):
+        fill(tmp_path, [name])
+        (tmp_path / name).write_bytes(b"one and the same")
+    with pytest.raises(InputError, match="same picture") as caught:
+        find_captures(tmp_path)
+    assert "other lens" in (caught.value.hint or "")
+    fill(tmp_path, ["B/tele.jpg"])
+    with pytest.raises(InputError, match="wide view is missing") as caught:
+        find_captures(tmp_path)
+    assert "<name>/tele.*" in (caught.value.hint or "")
+
+
 def test_an_empty_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no captures: it is empty") as caught:
         find_captures(tmp_path)

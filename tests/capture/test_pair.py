@@ -68,6 +68,16 @@ def test_sizes_that_do_not_fit(
     assert hint in (caught.value.hint or "")
 
 
+@pytest.mark.parametrize("rectified", [None, True])
+def test_only_rectified_photos_are_to_be_cropped(tmp_path: Path, *, rectified: bool | None) -> None:
+    capture = capture_of(tmp_path, noise((120, 160)), noise((60, 100), 1))
+    with pytest.raises(InputError, match="no common factor") as caught:
+        read_pair(capture, facts=CaptureFacts(rectified=rectified))
+    hint = caught.value.hint or ""
+    assert "crop wide" in hint
+    assert ("not cropped, but need a rig" in hint) == (rectified is None)
+
+
 @pytest.mark.parametrize("hw", [(1, 1), (31, 200), (200, 31)])
 def test_a_tiny_view(tmp_path: Path, hw: tuple[int, int]) -> None:
     capture = capture_of(tmp_path, noise((40, 60)), noise(hw, 1))

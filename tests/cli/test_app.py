@@ -145,6 +145,23 @@ def test_unknown_choice_names_the_nearest(captures: Path, capsys: pytest.Capture
         assert "Value error" not in text
 
 
+@pytest.mark.parametrize(("device", "meant"), [("gpu", "cuda"), ("GPU", "cuda"), ("cpus", "cpu"), ("tpu", "cpu")])
+def test_a_device_is_known_by_its_other_name(device: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["depth", "--device", device])
+    assert f"Did you mean {meant}?" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_photo_instead_of_the_folder_is_answered_with_the_call_that_works(
+    captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo = next((captures / "001").glob("tele.*"))
+    words = ("depth", str(photo.relative_to(captures.parent)), "--method", "sgm", "--out", "my depth")
+    one = "telewide depth captures/001 --method sgm --out 'my depth'"
+    refused(capsys, *words, code=2, names=(f"{Path(words[1])} is a file", f"name the folder that holds it: {one}\n"))
+    assert run_cli(*shlex.split(one)[1:], "--quiet") == 0
+
+
 def test_a_second_folder_of_captures_names_the_option_that_chooses(
     captures: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -174,9 +191,26 @@ def test_depth_without_a_training_is_of_the_network_in_the_box(
     assert "network that comes with telewide" in told
     assert "telewide train 'my pairs'" in told
     assert not Path("run").exists()
+    assert run_cli("depth", "my pairs", "--out", "d1", "--bokeh") == 0
+    assert "matched by" not in capsys.readouterr().err, "its depth lies there"
     assert run_cli("depth", "my pairs", "--out", "d2", "--weights", str(BOX_WEIGHTS)) == 0
     for made in sorted(Path("d1").glob("*/disparity.pfm")):
         assert made.read_bytes() == (Path("d2") / made.parent.name / made.name).read_bytes()
+
+
+def test_a_call_that_fails_on_all_captures_matches_nothing_and_leaves_no_folder(
+    captures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that was there before stays."""
+    for photo in captures.glob("*/wide.*"):
+        photo.write_bytes(photo.read_bytes()[:300])
+    Path("mine").mkdir()
+    for out in ("new/deep", "mine"):
+        assert run_cli("depth", "--out", out) == 3
+        assert "matched by" not in capsys.readouterr().err
+    assert run_cli("depth") == 3
+    assert sorted(path.name for path in Path().iterdir()) == ["captures", "mine"]
+    assert not list(Path("mine").iterdir())
 
 
 def test_weights_that_are_missing_or_something_else(captures: Path, capsys: pytest.CaptureFixture[str]) -> None:

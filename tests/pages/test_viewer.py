@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -213,11 +214,18 @@ def test_a_lamp_off_the_focus_shows_the_blades_with_their_roundness_and_turn(tmp
 
 
 def test_keys_move_the_focus_and_turn_the_aperture(opened: Any) -> None:
-    before = opened.inner_text("#readout")
+    """By a hundredth of the shorter side, with Shift by ten; the border holds it."""
+    click(opened, SIDE // 2, SIDE // 2)
     opened.locator("canvas").focus()
-    for _ in range(8):
-        opened.keyboard.press("ArrowLeft")
-    assert opened.inner_text("#readout") != before
+    places = []
+    for key in ("ArrowLeft", "Shift+ArrowLeft", "ArrowDown", "Shift+ArrowUp", *("Shift+ArrowRight",) * 9):
+        opened.keyboard.press(key)
+        found = re.match(r"x (\d+), y (\d+) ", opened.inner_text("#readout"))
+        assert found is not None
+        places.append((int(found[1]) - SIDE // 2, int(found[2]) - SIDE // 2))
+    assert places[:4] == [(-1, 0), (-11, 0), (-11, 1), (-11, -9)]
+    assert places[-1] == (SIDE - 1 - SIDE // 2, -9)
+    assert "Shift" in opened.inner_text(".hint.aperture")
     opened.locator("#stop").focus()
     opened.keyboard.press("End")
     assert opened.inner_text("#number") == "f/16.0"
@@ -405,6 +413,19 @@ def test_the_index_leads_to_captures_and_their_notes(tmp_path: Path) -> None:
         page.wait_for_selector(DONE, timeout=120_000)
         assert page.inner_text("#name") == names[1]
         page.goto(path.as_uri())
+
+
+def test_a_table_of_many_captures_stays_within_the_width_of_a_phone(tmp_path: Path) -> None:
+    """Its heading, which is hidden there and read aloud, made the page wider than the screen."""
+    headings = [*(f"figure number {n}, px of the photograph" for n in range(8)), "matching, s"]
+    rows = [ReportRow(f"{n:03}", numbers=dict.fromkeys(headings, 0.5 + n)) for n in range(12)]
+    path = write_report(tmp_path / "report.html", rows, title="Page")
+    with page_in_browser(path, wh=(390, 844)) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.evaluate("document.querySelector('.scroll').scrollWidth") <= 390
+        last = page.locator("tbody td").last
+        assert last.is_visible()
+        assert "matching, s" in last.evaluate("(e) => getComputedStyle(e, '::before').content")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -171,6 +171,9 @@ def test_a_rig_for_rectified_captures_is_refused(phone: Path) -> None:
         assert locate_rig(None, captures) is None
         with pytest.raises(UsageError, match="rectified"):
             locate_rig(phone / "rig.yaml", captures)
+        with pytest.raises(UsageError, match=r"no rig file nothere\.yaml") as missing:
+            locate_rig(Path("nothere.yaml"), captures)
+        assert "leave --rig out" in (missing.value.hint or "")
     finally:
         facts.unlink()
 

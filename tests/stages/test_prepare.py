@@ -48,6 +48,25 @@ def prepared(captures: Path, run: Path, *settings: str) -> PreparedSet:
     return prepare_captures(find_captures(captures), RunFolder(run), recipe=recipe)
 
 
+@pytest.mark.parametrize(
+    ("fault", "needs_rig"), [("cut off", False), ("same", False), ("exchanged", False), ("unlike", True)]
+)
+def test_a_rig_is_advised_where_it_would_help(tmp_path: Path, fault: str, *, needs_rig: bool) -> None:
+    """Not against a photo that cannot be read, one given twice, or exchanged names."""
+    tele, wide = np.random.default_rng(3).random((2, 96, 144, 3)).astype(np.float32)
+    of_wide = {"same": tele, "unlike": wide[:40], "exchanged": np.kron(wide, np.ones((2, 2, 1), np.float32))}
+    path = tmp_path / "captures" / "one" / "wide.png"
+    write_image(path.with_name("tele.png"), tele)
+    write_image(path, of_wide.get(fault, wide))
+    written = path.read_bytes()
+    path.write_bytes(written[:500] if fault == "cut off" else written + b"one more")  # files are never the same
+    with pytest.raises(InputError, match="no capture can be used") as caught:
+        prepared(tmp_path / "captures", tmp_path / "run")
+    hint = caught.value.hint or ""
+    assert hint.startswith("mend the captures")
+    assert ("telewide calibrate" in hint) == needs_rig
+
+
 def test_a_stopped_preparation_vouches_for_nothing(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -404,7 +404,10 @@ canvas.addEventListener("keydown", (event) => {
     const from = state.from || [0, 0];
     state.from = step.map((each, k) => Math.min(Math.max(from[k] + 0.1 * each, -1), 1));
     redraw();
-  } else focusAt(...step.map((each, k) => held(state.at[k] + each * 0.02 * Math.max(...wh), wh[k])));
+  } else {
+    const least = Math.max(Math.round(0.01 * Math.min(...wh)), 1), many = event.shiftKey ? 10 : 1;
+    focusAt(...step.map((each, k) => held(state.at[k] + each * least * many, wh[k])));
+  }
 });
 canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
 canvas.addEventListener("webglcontextrestored", () => { const { index } = scene; scene = null; if (start()) open(index); });
