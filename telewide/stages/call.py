@@ -95,9 +95,7 @@ def begun(
     """
     folder = locate_run(run, captures_root)
     invocation = observer.invocation or Invocation("train", (captures_root,), {"out": run, "rig": rig})
-    found = find_captures(captures_root, advised=lambda other: invocation.instead(invocation.command, other))
-    captures = _chosen(found, only)
-    _refuse_captures_as_run(captures_root, folder)
+    captures = _chosen(_found(captures_root, folder, invocation), only)
     found_rig = locate_rig(rig, captures)
     refuse_without_rig(captures, rig=found_rig)
     for place in (folder.pairs, folder.train, folder.depth):
@@ -122,6 +120,12 @@ def _refuse_captures_as_run(captures_root: Path, folder: RunFolder) -> None:
         raise UsageError(
             f"{captures_root} holds the captures; a run needs a folder of its own", hint="name another one"
         )
+
+
+def _found(captures_root: Path, folder: RunFolder, invocation: Invocation) -> CaptureSet:
+    captures = find_captures(captures_root, advised=lambda other: invocation.instead(invocation.command, other))
+    _refuse_captures_as_run(captures_root, folder)
+    return captures
 
 
 def _chosen(captures: CaptureSet, only: Sequence[str]) -> CaptureSet:

@@ -153,7 +153,7 @@ def prepare_captures(
     captures = with_checked_lenses(captures)
     store = photos or PhotoStore(max_bytes=0)
     pairs: list[PreparedPair] = []
-    n_refused, n_unlike = 0, 0
+    n_refused, is_uncut = 0, False
     problems = [*captures.problems, *(check_sizes(captures) if rig is None else ())]
     for capture in captures.captures:
         try:
@@ -161,8 +161,7 @@ def prepare_captures(
                 prepared = _prepare_pair(capture, captures.facts, run, recipe=recipe, rig=rig, photos=store)
         except (InputError, UsageError) as error:
             problems.append(Problem(capture.name, f"{error.message}; {error.hint}" if error.hint else error.message))
-            n_unlike += isinstance(error, UnlikeSizesError)
-            prepared = None
+            prepared, is_uncut = None, is_uncut or isinstance(error, UnlikeSizesError)
         if prepared is not None and prepared.report.verdict == "refused":
             problems.append(Problem(capture.name, "; ".join(prepared.report.reasons)))
             n_refused += 1
@@ -173,7 +172,7 @@ def prepare_captures(
         if tick is not None:
             tick(capture.name, is_kept=prepared is not None and prepared.is_kept)
     if not pairs:
-        raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None and n_refused + n_unlike > 0)
+        raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None and (n_refused > 0 or is_uncut))
     return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig)
 
 
