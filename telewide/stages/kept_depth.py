@@ -172,7 +172,8 @@ def lost_of_former(folder: Path, names: Collection[str], *, name: str, key: Mapp
     record = _record_in(folder)
     if record is None:
         return ()
-    lost = [file for file in record.files_bytes if file not in names and is_file(folder / file)]
+    kept = {*names, PREVIEW_BOKEH_NAME}  # which a bokeh is meant to replace
+    lost = [file for file in record.files_bytes if file not in kept and is_file(folder / file)]
     told = [f"{name}: removed, for this call makes none: {', '.join(lost)}"] if lost else []
     known = record.key.get("known")
     if isinstance(known, dict) and not known.get("is_focus") and key.get("known") is None:

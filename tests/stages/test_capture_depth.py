@@ -575,6 +575,14 @@ def test_depth_that_is_matched_again_keeps_its_formats_and_tells_what_is_gone(ca
     assert not any("removed" in note for note in told_once.notes)
 
 
+def test_a_bokeh_in_place_of_its_preview_is_no_loss(capture: Capture, tmp_path: Path) -> None:
+    folder, match = tmp_path / "run", Matching()
+    made_again(capture, folder, match, bokeh=BokehOptions(is_preview=True))
+    whole = made_again(capture, folder, match, bokeh=BokehOptions())
+    assert not (folder / "bokeh_preview.jpg").exists()
+    assert not any("removed" in note for note in whole.notes)
+
+
 def test_metres_that_were_pinned_and_are_not_now_are_told(capture: Capture, tmp_path: Path) -> None:
     folder, known = tmp_path / "run", {"x_px": 3.0, "y_px": 40.0, "distance_m": 0.9, "is_focus": False}
     for key, is_told in (({"known": known}, False), ({"known": None}, True), ({"known": None}, False)):
