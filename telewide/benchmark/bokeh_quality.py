@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from telewide.bokeh.render import radius_per_px_from_strength, render_bokeh
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.metrics import psnr_db
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap
 
 FARTHEST_PX = 10.0

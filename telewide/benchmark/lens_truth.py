@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, PositiveFloat, model_validator
 
 from telewide.capture.images import read_image
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.errors import InputError
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap
 from telewide.records import read_json

@@ -13,7 +13,7 @@ import numpy as np
 from telewide.bokeh.aperture import DISK, spot_of
 from telewide.bokeh.lens import IN_FOCUS_PX
 from telewide.bokeh.render import LARGEST_RADIUS_SHARE, render_bokeh
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.srgb import linear_from_srgb, srgb_from_linear
 

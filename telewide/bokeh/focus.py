@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from telewide.bokeh.subject import OUTLIER_PERCENT, find_subject
-from telewide.depth.edges import nearest_known
+from telewide.depth.nearest import nearest_known
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import BoolMap, FloatMap
 

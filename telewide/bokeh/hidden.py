@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from telewide.bokeh.layers import FILL_PX
 from telewide.bokeh.subject import OUTLIER_PERCENT
-from telewide.depth.edges import fill_unknown, nearest_known
+from telewide.depth.nearest import fill_unknown, nearest_known
 from telewide.geometry.arrays import FloatImage, FloatMap
 
 COUNT = 64

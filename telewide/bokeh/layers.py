@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.bokeh.coverage import JUMP_PX, split_mixed_pixels
-from telewide.depth.edges import nearest_known
+from telewide.depth.nearest import nearest_known
 from telewide.geometry.arrays import BoolMap, FloatImage, FloatMap, IntArray
 
 BIN_PX = 1.0  # finer bins gain nothing, bins of 2 px cost 2 dB

@@ -21,7 +21,7 @@ from telewide.bokeh.lens import IN_FOCUS_PX, sort_for_lens, spread_sorted
 from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.bokeh.surroundings import Surroundings
 from telewide.cores import usable_cores
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatImage, FloatMap
 from telewide.srgb import linear_from_srgb, srgb_from_linear

@@ -18,7 +18,7 @@ import numpy as np
 from telewide.bokeh.layers import Box, shrunk
 from telewide.correction.colour import CLIPPED_FROM
 from telewide.correction.colour_model import ColourModel, fit_model, robust_gains, transform_colours, transform_image
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatImage, FloatMap, IntArray
 from telewide.geometry.grids import dense_map
 from telewide.geometry.resample import resample

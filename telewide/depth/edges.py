@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.cores import usable_cores
+from telewide.depth.fringes import with_fringes
+from telewide.depth.nearest import fill_unknown
 from telewide.depth.slopes import steepened, with_smooth_outlines
 from telewide.depth.votes import agreeing_share, tiles_of, voters_of, votes_around, weighted_median
 from telewide.errors import InputError
@@ -38,43 +40,6 @@ FINE_REACH_PX = 2  # half the window of the second pass, px of the fraction
 CHUNK = 16384
 
 Item = TypeVar("Item")
-
-
-def nearest_known(known: BoolMap) -> tuple[FloatMap, IntArray]:
-    """Find for every pixel the nearest known one.
-
-    Args:
-        known: (H, W) bool, True somewhere.
-
-    Returns:
-        (H, W) float32 distance, px, and (H, W) int64 flat index of that pixel; both to the accuracy of a 5x5 chamfer
-        distance.
-    """
-    distance_px, label = cv2.distanceTransformWithLabels(
-        (~known).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    index = np.flatnonzero(known)
-    index_of_label = np.zeros(int(label.max()) + 1, dtype=np.int64)
-    index_of_label[label.ravel()[index]] = index
-    return np.asarray(distance_px, dtype=np.float32), index_of_label[label]
-
-
-def fill_unknown(disparity_px: FloatMap) -> FloatMap:
-    """Give every pixel that is not finite the value of the nearest one that is.
-
-    Args:
-        disparity_px: (H, W) float32, px.
-
-    Raises:
-        InputError: no pixel is finite.
-    """
-    known = np.isfinite(disparity_px)
-    if known.all():
-        return disparity_px
-    if not known.any():
-        raise InputError("the disparity map holds no known value")
-    _, index = nearest_known(known)
-    return np.asarray(disparity_px.ravel()[index], dtype=np.float32)
 
 
 def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: FloatMap, valid: BoolMap) -> FloatMap:
@@ -101,8 +66,8 @@ def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: Flo
     trust = np.clip(confidence, 0.05, 1) * np.where(valid, np.float32(1), np.float32(FILLED_WEIGHT))
     scale = max(1, round(disparity_px.shape[1] / FULL_SCALE_WIDTH_PX))
     if scale == 1:
-        followed_px = _followed(steepened(filled_px), guide_rgb, trust)
-        return with_smooth_outlines(followed_px, jump_px=JUMP_PX)
+        followed_px = with_smooth_outlines(_followed(steepened(filled_px), guide_rgb, trust), jump_px=JUMP_PX)
+        return with_fringes(followed_px, guide_rgb, jump_px=JUMP_PX)
     wh = -(-disparity_px.shape[1] // scale), -(-disparity_px.shape[0] // scale)
     small_trust, small_px = (
         cv2.resize(plane, wh, interpolation=cv2.INTER_NEAREST_EXACT) for plane in (trust, filled_px)
@@ -113,7 +78,8 @@ def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: Flo
     lies_at_edge = _near_edge(small_px, margin_px=0)
     weight = np.asarray(small_trust * np.where(lies_at_edge, EDGE_WEIGHT, 1), dtype=np.float32)
     followed_px = _at_own_size(filled_px, guide_rgb, small_px=small_px, small_guide=small_guide, weight=weight)
-    return with_smooth_outlines(followed_px, jump_px=JUMP_PX)
+    followed_px = with_smooth_outlines(followed_px, jump_px=JUMP_PX)
+    return with_fringes(followed_px, guide_rgb, jump_px=JUMP_PX, scale=scale)
 
 
 def _followed(disparity_px: FloatMap, guide_rgb: FloatMap, trust: FloatMap) -> FloatMap:

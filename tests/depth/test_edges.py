@@ -12,7 +12,8 @@ from bokeh.layered_world import World, random_world, reference_world
 
 from telewide.bokeh.render import render_bokeh
 from telewide.depth import edges
-from telewide.depth.edges import REACH_PX, ROUNDS, fill_unknown, follow_edges, nearest_known
+from telewide.depth.edges import REACH_PX, ROUNDS, follow_edges
+from telewide.depth.nearest import fill_unknown, nearest_known
 from telewide.errors import InputError
 from telewide.srgb import srgb_from_linear
 

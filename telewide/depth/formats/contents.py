@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from telewide.capture.pictures import PictureFacts
-from telewide.depth.edges import fill_unknown
+from telewide.depth.nearest import fill_unknown
 from telewide.depth.result import DepthResult
 from telewide.files import replacing
 from telewide.geometry.arrays import BoolMap, FloatArray, FloatMap

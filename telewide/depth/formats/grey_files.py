@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.images import write_image, write_png16
-from telewide.depth.edges import fill_unknown
 from telewide.depth.formats.contents import Contents, WrittenDepth, levels
 from telewide.depth.formats.jpeg_xmp import photo_jpeg
+from telewide.depth.nearest import fill_unknown
 from telewide.depth.preview import display_range_px
 from telewide.files import replacing
 from telewide.geometry.arrays import FloatMap

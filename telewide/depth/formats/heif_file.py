@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from telewide.capture.pictures import PictureFacts
-from telewide.depth.edges import fill_unknown
 from telewide.depth.formats.contents import Contents, WrittenDepth, levels, thinned
 from telewide.depth.formats.jpeg_xmp import xmp_meta
+from telewide.depth.nearest import fill_unknown
 from telewide.files import replacing
 from telewide.geometry.arrays import ByteImage, FloatMap
 
