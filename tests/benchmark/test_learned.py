@@ -34,7 +34,7 @@ EXPECTED = {
     "method": ("psmnet-s", None, 4, "photometric", (False, False), "own"),
     **{
         f"method-k1-{change}": ("psmnet-s", None, 2, "photometric", (False, False), "own")
-        for change in ("rate", "raw", "smooth", "batch", "large", "frozen-norm", "unclipped")
+        for change in ("tenth", "raw", "smooth", "batch", "large", "frozen-norm", "unclipped")
     },
     "basenet-su": ("psmnet-s", None, 1, "supervised", (False, False), "own"),
     "basenet-iresnet": ("iresnet-s", None, 1, "photometric", (False, False), "own"),
@@ -61,12 +61,26 @@ def test_every_system_is_what_the_paper_says() -> None:
     assert found == EXPECTED
 
 
-def test_rows_of_the_published_rate_make_one_change_each() -> None:
+def test_rows_that_differ_from_the_first_stage_make_one_change_each() -> None:
     systems = read_learned_systems()
-    rate = systems["method-k1-rate"].resolved().train.feature.model_dump()
-    changes = {"frozen-norm": {"batch_statistics": "kept"}, "unclipped": {"gradient_norm": None}}
+    published = systems["method-k1"].resolved().train.feature.model_dump()
+    assert published["learning_rate"] == 1e-3
+    changes = {
+        "tenth": {"learning_rate": 1e-4},
+        "raw": {"unit_features": False},
+        "smooth": {"smoothness": 0.1},
+        "batch": {"captured": 6},
+        "frozen-norm": {"batch_statistics": "kept"},
+        "unclipped": {"gradient_norm": None},
+    }
     for name, change in changes.items():
-        assert systems[f"method-k1-{name}"].resolved().train.feature.model_dump() == {**rate, **change}
+        assert systems[f"method-k1-{name}"].resolved().train.feature.model_dump() == {**published, **change}
+
+
+def test_every_feature_metric_stage_of_the_paper_takes_the_published_rate() -> None:
+    systems = read_learned_systems()
+    for name in ("method", "method-k2", "method-iresnet", "basenet-cl", "basenet-ae", "cl-space", "ae-space"):
+        assert systems[name].resolved().train.feature.learning_rate == 1e-3
 
 
 class _OneLayer(torch.nn.Module):
