@@ -23,10 +23,9 @@ from torch.nn import functional
 from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotographed
-from telewide.matching.even_surfaces import even_surfaces
-from telewide.matching.lookalikes import follow_lookalikes
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
 from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
+from telewide.matching.refinement import refine
 from telewide.matching.sampling import pad_to_multiple
 from telewide.matching.window import Window, check_window, scaled_window
 
@@ -158,7 +157,7 @@ def match_with_network(
         )
         found = _shrunken(larger, hw)
     if network.has_confidence:
-        found = even_surfaces(follow_lookalikes(found, ref), ref)
+        found = refine(found, ref, src)
     return without_unphotographed(found, valid)
 
 

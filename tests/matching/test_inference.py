@@ -17,7 +17,6 @@ from telewide.capture.pair import find_captures, read_pair
 from telewide.errors import MissingPartError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching import inference
-from telewide.matching.even_surfaces import even_surfaces
 from telewide.matching.inference import (
     GRID_PX,
     choose_device,
@@ -26,8 +25,8 @@ from telewide.matching.inference import (
     low_precision,
     match_with_network,
 )
-from telewide.matching.lookalikes import follow_lookalikes
 from telewide.matching.networks import StereoNetwork, build_network, standardise
+from telewide.matching.refinement import refine
 from telewide.matching.volume import correlate_groups, expect_disparity
 from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import render_pair
@@ -351,7 +350,7 @@ def test_between_two_surfaces_no_third_appears_where_a_result_is_shrunken(
 ) -> None:
     """Wherever the step lies in the enlarged views, it comes within a pixel of its place."""
     monkeypatch.setattr(inference, "_match_views", lambda *_, **__: step_at(x_px, far_px=3.0, near_px=30.0))
-    monkeypatch.setattr(inference, "follow_lookalikes", lambda found, ref: found)
+    monkeypatch.setattr(inference, "refine", lambda found, ref, src: found)
     found = match_with_network(noise(64, 96), noise(64, 96), network=build_network("guided", seed=1), window=(0, 32))
     assert set(np.unique(found.disparity_px)) == {np.float32(2.0), np.float32(20.0)}
     x_found_px = np.argmax(found.disparity_px[0] == 20.0)
@@ -377,21 +376,19 @@ def test_small_views_are_matched_as_if_they_were_larger(monkeypatch: pytest.Monk
     assert all(found.disparity_px.shape == (64, 96) for found in results)
 
 
-@pytest.mark.parametrize(("name", "is_evened"), [("guided", True), ("lite", False)])
-def test_surfaces_are_made_even_where_the_network_knows_how_sure_it_is(
-    name: str, is_evened: bool, example: Views, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("name", "is_refined"), [("guided", True), ("lite", False)])
+def test_a_match_is_refined_where_the_network_knows_how_sure_it_is(
+    name: str, is_refined: bool, example: Views, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     network = load_weights(BOX_WEIGHTS, device=CPU)[0] if name == "guided" else build_network(name, seed=1)
     window = (0, 32)
     made = match_with_network(*example, network=network, window=window)
     with monkeypatch.context() as patch:
-        patch.setattr(inference, "even_surfaces", lambda found, ref: found)
-        patch.setattr(inference, "follow_lookalikes", lambda found, ref: found)
+        patch.setattr(inference, "refine", lambda found, ref, src: found)
         matched = match_with_network(*example, network=network, window=window)
-    ref = example[0]
-    expected = even_surfaces(follow_lookalikes(matched, ref), ref) if is_evened else matched
+    expected = refine(matched, *example) if is_refined else matched
     np.testing.assert_array_equal(made.disparity_px, expected.disparity_px)
-    assert np.array_equal(made.disparity_px, matched.disparity_px) is not is_evened
+    assert np.array_equal(made.disparity_px, matched.disparity_px) is not is_refined
 
 
 @pytest.mark.parametrize(("factor", "is_enlarged"), [(1, True), (4, True), (12, False)])

@@ -59,8 +59,7 @@ def test_the_exported_maps_are_those_of_a_match(
 ) -> None:
     """At the size of the views, before what follows the network: that is left to whoever calls the model."""
     monkeypatch.setattr(inference, "ENLARGED_TO_PIXELS", 0)
-    monkeypatch.setattr(inference, "even_surfaces", lambda found, ref: found)
-    monkeypatch.setattr(inference, "follow_lookalikes", lambda found, ref: found)
+    monkeypatch.setattr(inference, "refine", lambda found, ref, src: found)
     network = network_with_all_branches(name)
     ref, src = example_views(hw, WINDOW)
     with full_precision(), torch.inference_mode():

@@ -1,0 +1,198 @@
+"""Plain walls behind things: what a network cannot match it continues from what it can, and beside a thing that is it.
+
+The side of a wall that src does not see, and a wall without any texture, take the disparity of the thing that stands
+before them; elsewhere, beyond the thing, the same wall is matched. So plain, unsure cells that reach the border of the
+picture go to the farthest large piece that has their colour, if it lies behind them, and if the views bear it out:
+where both see the wall it must fit as well as what was found.
+Letters: H W image; h w grid of cells.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from telewide.geometry.arrays import BoolMap, FloatArray, FloatImage, FloatMap, IntArray
+from telewide.geometry.stereo import DisparityMap
+from telewide.matching.pieces import (
+    CELL_PX,
+    LEAST_SIDE_PX,
+    Cells,
+    Piece,
+    View,
+    at_centres,
+    enlarged,
+    find_pieces,
+    mean_around,
+)
+
+UNSURE, HARDLY_SURE = 0.4, 0.5
+"""Confidence below which cells go to a wall; and below which plain cells that hang together with them go along."""
+LEAST_SURE, SURER = 0.5, 1.4
+"""Median confidence of a wall at the least; and how many times as sure as a cell that goes to it."""
+LEAST_WALL, LEAST_REGION = 0.02, 0.01
+"""Shares of all cells that a wall holds at the least, and a region that goes to one."""
+PLAIN = 0.02
+"""Change of colour a px below which a cell is plain."""
+LIGHTNESS, CHROMA = 8.6, 8.0
+"""Differences in L* and in (a*, b*) within which a cell has a wall's colour; a pixel of the rim, in half of them."""
+BEHIND_PX, BEYOND_PX = 1.0, 1.0
+"""Distance by which a wall lies behind; and by which it goes beyond the disparities of its own cells."""
+RIM_PX = 12
+"""Reach beyond its cells within which a region takes in pixels of its colour."""
+SMOOTH_PX, HIDDEN_BY_PX = 2.0, 2.0
+"""Before views are compared they are smoothed; and a pixel is hidden from src by one that is nearer by this."""
+MISFIT, MISFIT_BY = 1.1, 0.5 / 255
+"""A wall may fit worse than what was found by this factor and this difference of colour."""
+LEAST_PX, LEAST_SEEN, STILL_SEEN = 16, 0.2, 0.5
+"""Pixels, and share of a region seen by src, that tell how it fits; half of it has to be seen at the wall too."""
+
+
+def with_backdrops(found: DisparityMap, ref: FloatImage, src: FloatImage) -> DisparityMap:
+    """Bring plain parts of a wall that stuck to what stands before it back to the wall.
+
+    Args:
+        found: its confidence is the probability of an error below 1 px.
+        ref: (H, W, 3) the view of the map, [0, 1].
+        src: (H, W, 3) the other view.
+
+    Returns:
+        The map with other disparities, all of them smaller; confidence and what counts as measured are the same.
+    """
+    if min(found.disparity_px.shape) < LEAST_SIDE_PX:
+        return found
+    view = View.of(found, ref)
+    cells = Cells.of(view)
+    is_plain = (cells.confidence < HARDLY_SURE) & (at_centres(mean_around(view.slope, CELL_PX + 1)) < PLAIN)
+    if not _large_at_border(is_plain).any():
+        return found
+    lab = cv2.cvtColor(np.ascontiguousarray(ref, dtype=np.float32), cv2.COLOR_RGB2LAB)
+    colour = np.asarray(lab, dtype=np.float32)
+    moved_px = found.disparity_px.copy()
+    for region, surface_px in _regions(cells, is_plain, at_centres(mean_around(colour, CELL_PX + 1))):
+        surface = enlarged(surface_px, moved_px.shape, cv2.INTER_LINEAR)
+        goes = _with_rim(region, colour) & (surface < moved_px - BEHIND_PX)
+        moved_px[goes] = surface[goes]
+    is_borne_out = _borne_out(found.disparity_px, moved_px, ref, src)
+    return DisparityMap(np.where(is_borne_out, moved_px, found.disparity_px), found.confidence, found.valid)
+
+
+def _large_at_border(mask: BoolMap) -> BoolMap:
+    """Pieces of a grid that reach its border and are no small ones, without what is one cell wide."""
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
+    count, piece = cv2.connectedComponents(opened, connectivity=8)
+    is_large = np.bincount(piece.ravel(), minlength=count) >= LEAST_REGION * mask.size
+    at_border = np.zeros(count, dtype=np.bool_)
+    for side in (piece[0], piece[-1], piece[:, 0], piece[:, -1]):
+        at_border[side] = True
+    at_border[0] = False
+    return np.asarray((is_large & at_border)[piece])
+
+
+def _regions(cells: Cells, is_plain: BoolMap, colour: FloatMap) -> list[tuple[BoolMap, FloatMap]]:
+    """Regions (h, w) of the picture that go to a wall, each with its surface (h, w)."""
+    walls = [(_region(wall, cells, is_plain, colour), _continued(wall, cells)) for wall in _walls(cells)]
+    is_free = _large_at_border(np.any([region for region, _ in walls], axis=0)) if walls else np.zeros_like(is_plain)
+    count, piece = cv2.connectedComponents(is_free.astype(np.uint8), connectivity=8)
+    regions = []
+    for index in range(1, count):
+        rest = piece == index
+        for region, surface_px in sorted(walls, key=lambda wall: _order(rest & wall[0], wall[1], rest=rest)):
+            # What hangs together with the greater part of a wall is that wall, though light falls on it otherwise.
+            goes = rest & (surface_px < cells.disparity_px - BEHIND_PX if _is_most(region, rest) else region)
+            if goes.any():
+                regions.append((goes, surface_px))
+                rest &= ~goes
+    return regions
+
+
+def _is_most(region: BoolMap, rest: BoolMap) -> bool:
+    return bool((region & rest).sum() >= rest.sum() / 2 > 0)
+
+
+def _order(region: BoolMap, surface_px: FloatMap, *, rest: BoolMap) -> tuple[bool, float]:
+    """Rank of a wall for a region: those that have the greater part of it first, and of them the farthest."""
+    return not _is_most(region, rest), float(surface_px[region].mean()) if region.any() else np.inf
+
+
+def _walls(cells: Cells) -> list[Piece]:
+    """Large pieces that are sure."""
+    pieces = find_pieces(cells)
+    return [piece for piece in pieces if piece.inside.mean() >= LEAST_WALL and _sureness(piece, cells) >= LEAST_SURE]
+
+
+def _sureness(piece: Piece, cells: Cells) -> float:
+    return float(np.median(cells.confidence[piece.inside]))
+
+
+def _region(wall: Piece, cells: Cells, is_plain: BoolMap, colour: FloatMap) -> BoolMap:
+    """Plain cells (h, w) before a wall that have its colour and hang together with some that are unsure."""
+    off = np.abs(colour - np.median(colour[wall.inside], axis=0))
+    is_alike = (off[..., 0] < LIGHTNESS) & (np.hypot(off[..., 1], off[..., 2]) < CHROMA)
+    is_before = _continued(wall, cells) < cells.disparity_px - BEHIND_PX
+    sure = _sureness(wall, cells)
+    may_go = is_plain & is_alike & is_before & ~wall.inside & (cells.confidence < sure)
+    _, piece = cv2.connectedComponents(may_go.astype(np.uint8), connectivity=4)
+    goes = np.unique(piece[may_go & (cells.confidence < min(UNSURE, sure / SURER))])
+    return may_go & np.isin(piece, goes)
+
+
+def _continued(wall: Piece, cells: Cells) -> FloatMap:
+    """(h, w) the plane of a wall, hardly beyond the disparities of its own cells."""
+    low_px, high_px = np.percentile(cells.disparity_px[wall.inside], (2, 98))
+    plane_px = wall.flattened(cells).surface_px(cells)
+    return np.clip(plane_px, low_px - BEYOND_PX, high_px + BEYOND_PX).astype(np.float32)
+
+
+def _with_rim(region: BoolMap, colour: FloatMap) -> BoolMap:
+    """(H, W) pixels of a region of cells, and of its colour around it."""
+    inside = enlarged(region.astype(np.float32), colour.shape[:2], cv2.INTER_NEAREST)
+    width = 2 * RIM_PX + 1
+    share = mean_around(inside, width)
+    mean = mean_around(colour * inside[..., None], width) / np.maximum(share, np.float32(1e-6))[..., None]
+    off = np.abs(colour - mean)
+    is_alike = (off[..., 0] < LIGHTNESS / 2) & (np.hypot(off[..., 1], off[..., 2]) < CHROMA / 2)
+    return (inside > 0) | (is_alike & (share > 1e-6))
+
+
+def _borne_out(disparity_px: FloatMap, moved_px: FloatMap, ref: FloatImage, src: FloatImage) -> BoolMap:
+    """(H, W) regions that moved and fit no worse where they are than where they were."""
+    is_moved = moved_px != disparity_px
+    count, region = cv2.connectedComponents(is_moved.astype(np.uint8), connectivity=8)
+    size = np.bincount(region.ravel(), minlength=count)
+    smooth = [_smooth(view) for view in (ref, src)]
+    (seen_before, misfit_before), (seen, misfit) = (
+        _misfit(px, *smooth, region=region, count=count) for px in (disparity_px, moved_px)
+    )
+    is_seen_before, is_seen = (n >= np.maximum(LEAST_PX, LEAST_SEEN * size) for n in (seen_before, seen))
+    fits = misfit <= MISFIT * misfit_before + MISFIT_BY
+    is_borne_out = np.where(is_seen_before, (seen >= STILL_SEEN * seen_before) & fits, fits | ~is_seen)
+    is_borne_out[0] = False
+    return np.asarray(is_borne_out[region])
+
+
+def _smooth(view: FloatImage) -> FloatImage:
+    return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(view), (0, 0), SMOOTH_PX), dtype=np.float32)
+
+
+def _misfit(
+    disparity_px: FloatMap, ref: FloatImage, src: FloatImage, *, region: IntArray, count: int
+) -> tuple[IntArray, FloatArray]:
+    """For each region the pixels that src sees, and their mean difference of colour; 0 where it sees none."""
+    height, width = disparity_px.shape
+    row, column = np.indices((height, width), dtype=np.float32)
+    there = column - disparity_px
+    nearest = np.rint(there).astype(np.int64)
+    is_inside = (nearest >= 0) & (nearest < width)
+    at = (row[is_inside].astype(np.int64), nearest[is_inside])
+    front_px = np.full((height, width), -np.inf, dtype=np.float32)
+    np.maximum.at(front_px, at, disparity_px[is_inside])
+    # Beside what is nearer src shows a blend.
+    front_px = np.asarray(cv2.dilate(front_px, np.ones((4 * round(SMOOTH_PX) + 1,) * 2)), dtype=np.float32)
+    is_seen = is_inside.copy()
+    is_seen[is_inside] = front_px[at] < disparity_px[is_inside] + HIDDEN_BY_PX
+    warped = cv2.remap(src, there, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    off = np.abs(warped - ref).mean(axis=2)[is_seen]
+    seen = np.bincount(region[is_seen], minlength=count)
+    total = np.bincount(region[is_seen], weights=off, minlength=count)
+    return seen, total / np.maximum(seen, 1)
