@@ -34,6 +34,7 @@ class Comparison:
         alpha: weight of the structural part.
         has_unit_features: whether features are scaled to unit length before they are compared.
         valid: (B, H, W) bool each, where ref and src were photographed; None where they are whole.
+        halvings: how often views are halved and compared again.
     """
 
     ref_BCHW: Tensor
@@ -45,6 +46,7 @@ class Comparison:
     alpha: float
     has_unit_features: bool = True
     valid: tuple[Tensor, Tensor] | None = None
+    halvings: int = 0
 
     @property
     def counts(self) -> Tensor:
@@ -58,7 +60,12 @@ class Comparison:
 def photometric(crops: Comparison) -> Term:
     """Eq. 3 between ref and the warped source view."""
     return photometric_loss(
-        crops.ref_BCHW, crops.src_BCHW, crops.disparity_px_BHW, mask_BHW=crops.counts, alpha=crops.alpha
+        crops.ref_BCHW,
+        crops.src_BCHW,
+        crops.disparity_px_BHW,
+        mask_BHW=crops.counts,
+        alpha=crops.alpha,
+        halvings=crops.halvings,
     )
 
 

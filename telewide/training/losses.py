@@ -73,7 +73,7 @@ def reconstruction_difference(target_BCHW: Tensor, warped_BCHW: Tensor, *, alpha
 
 
 def photometric_loss(
-    ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tensor, *, mask_BHW: Tensor, alpha: float
+    ref_BCHW: Tensor, src_BCHW: Tensor, disparity_px_BHW: Tensor, *, mask_BHW: Tensor, alpha: float, halvings: int = 0
 ) -> Term:
     """Photometric loss, eq. 3 of the paper: ``|I_L - I_r->L|_1 + alpha (1 - SSIM(I_L, I_r->L))``.
 
@@ -83,9 +83,21 @@ def photometric_loss(
         disparity_px_BHW: (B, H, W) d_L, px.
         mask_BHW: (B, H, W) bool, the pixels that count.
         alpha: weight of the structural part; 3 in the paper.
+        halvings: how often views and disparity are halved and compared again; the mean counts. Fine views say which way
+            the truth lies to a few px only.
     """
     difference = reconstruction_difference(ref_BCHW, warp_to_ref(src_BCHW, disparity_px_BHW), alpha=alpha)
-    return _masked(difference, mask_BHW[:, 1:-1, 1:-1])
+    fine = _masked(difference, mask_BHW[:, 1:-1, 1:-1])
+    if not halvings:
+        return fine
+    ref, src, disparity, share = (
+        functional.avg_pool2d(x, 2) for x in (ref_BCHW, src_BCHW, disparity_px_BHW[:, None], mask_BHW[:, None].float())
+    )
+    coarse = photometric_loss(
+        ref, src, disparity[:, 0] / 2, mask_BHW=share[:, 0] == 1, alpha=alpha, halvings=halvings - 1
+    )
+    coarse_total = coarse.total * fine.count / coarse.count.clamp(min=1)
+    return Term((fine.total + halvings * coarse_total) / (1 + halvings), fine.count)
 
 
 def feature_metric_loss(

@@ -187,6 +187,7 @@ def _captured_terms(
             visible_Bhw=visible,
             space=teacher,
             alpha=options.alpha,
+            halvings=options.halvings,
             has_unit_features=options.unit_features,
             valid=valid,
         )

@@ -54,6 +54,8 @@ class StageOptions(Options):
     """Weight of the real crops' loss beside the rehearsed crops'."""
     alpha: Annotated[float, Field(ge=0)] = 3.0
     """Weight of the structural part in eq. 3 and eq. 5."""
+    halvings: Annotated[int, Field(ge=0, le=6)] = 0
+    """Times that views are halved and compared by eq. 3 again, for networks that regress disparity from afar."""
     unit_features: bool = True
     """Scale features to unit length over the channels before eq. 5 compares them; the paper does not."""
     smoothness: Annotated[float, Field(ge=0)] = 0.1

@@ -185,6 +185,18 @@ def test_disparities_lie_in_any_window(window: tuple[int, int]) -> None:
     assert output.disparity_px.max() < window[1]
 
 
+def test_what_is_held_at_the_end_of_a_window_can_return() -> None:
+    network = build_network("iresnet-s", seed=0)
+    ref, src = (torch.rand(1, 3, 64, 128, generator=torch.Generator().manual_seed(seed)) for seed in range(2))
+    results, _ = network.matching(network.features(ref), network.features(src), (40, 60))
+    held = results[-1][results[-1] == 40]  # an untrained network answers with about zero
+    assert held.numel() > results[-1].numel() / 2
+    matching = network.matching
+    assert isinstance(matching, IresnetMatching)
+    (gradient,) = torch.autograd.grad(held.sum(), matching.refinement.zoom_predict0.weight)
+    assert gradient.abs().sum() > 0
+
+
 def test_a_window_that_is_reached_is_searched_around_zero_and_a_far_one_around_its_middle() -> None:
     """A source view moved by 232 px and a window moved as far give the same disparities, plus 232."""
     assert search_centre_px((0, 164)) == search_centre_px((-160, 0)) == 0

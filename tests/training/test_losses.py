@@ -104,6 +104,42 @@ def test_photometric_loss_is_zero_at_the_truth_and_grows_beside_it(shift: int) -
     assert 0.1 < beside < farther
 
 
+def test_halved_views_say_which_way_the_truth_lies_from_afar() -> None:
+    """A bump 24 px off, six wide: fine views that do not overlap are as unlike everywhere, coarse ones get liker."""
+    place = torch.arange(128.0)
+
+    def view(at_px: float) -> torch.Tensor:
+        return torch.exp(-(((place - at_px) / 6) ** 2)).repeat(3, 64, 1)[None]
+
+    ref, src = view(70.0), view(46.0)
+
+    def slope(halvings: int) -> float:
+        """Change of the loss where the bump is, as its disparity rises."""
+        start_px = torch.full((1, 64, 128), 0.5, requires_grad=True)
+        term = photometric_loss(ref, src, start_px, mask_BHW=everywhere(ref), alpha=0.0, halvings=halvings)
+        (gradient,) = torch.autograd.grad(term.total / term.count, start_px)
+        return float(gradient[:, :, 64:76].sum())
+
+    assert slope(4) < 3 * slope(0)
+
+
+def test_halving_leaves_out_what_is_masked_and_its_gradient_is_exact() -> None:
+    ref, src, truth = exact_pair(4)
+    spoilt = src.clone()
+    mask = everywhere(ref)
+    mask[..., :16] = False
+    spoilt[..., :8] = 7.0
+    compared = [photometric_loss(ref, view, truth, mask_BHW=mask, alpha=3.0, halvings=1) for view in (src, spoilt)]
+    assert mean(compared[0]) < 1e-3  # at the truth
+    assert float(compared[0].total) == pytest.approx(float(compared[1].total), abs=1e-3)
+    assert float(compared[0].count) == float(photometric_loss(ref, src, truth, mask_BHW=mask, alpha=3.0).count)
+    disparity = (truth.double() + 0.3).requires_grad_()
+    views = ref.double(), src.double()
+    assert torch.autograd.gradcheck(
+        lambda d: photometric_loss(*views, d, mask_BHW=mask, alpha=3.0, halvings=1).total, disparity
+    )
+
+
 def test_feature_metric_loss_is_zero_at_the_truth_and_grows_beside_it() -> None:
     features = torch.nn.Conv2d(3, 8, 3, padding=1, bias=False)
     ref, src, truth = exact_pair(4)
