@@ -28,10 +28,12 @@ from telewide.matching.pieces import (
 
 UNSURE, HARDLY_SURE = 0.4, 0.5
 """Confidence below which cells go to a wall; and below which plain cells that hang together with them go along."""
-LEAST_SURE, SURER = 0.5, 1.4
+LEAST_SURE, SURER = 0.3, 1.4
 """Median confidence of a wall at the least; and how many times as sure as a cell that goes to it."""
 LEAST_WALL, LEAST_REGION = 0.02, 0.01
 """Shares of all cells that a wall holds at the least, and a region that goes to one."""
+RANGE_PERCENT, BACKGROUND = (5, 95), 0.5
+"""Percentiles of all disparities, and the farthest part of the range between them, where walls are backdrops."""
 PLAIN = 0.02
 """Change of colour a px below which a cell is plain."""
 LIGHTNESS, CHROMA = 8.6, 8.0
@@ -116,9 +118,16 @@ def _order(region: BoolMap, surface_px: FloatMap, *, rest: BoolMap) -> tuple[boo
 
 
 def _walls(cells: Cells) -> list[Piece]:
-    """Large pieces that are sure."""
-    pieces = find_pieces(cells)
-    return [piece for piece in pieces if piece.inside.mean() >= LEAST_WALL and _sureness(piece, cells) >= LEAST_SURE]
+    """Large pieces that are sure, and as far as anything is."""
+    low_px, high_px = np.percentile(cells.disparity_px, RANGE_PERCENT)
+    farthest_px = low_px + BACKGROUND * (high_px - low_px)
+    return [
+        piece
+        for piece in find_pieces(cells)
+        if piece.inside.mean() >= LEAST_WALL
+        and _sureness(piece, cells) >= LEAST_SURE
+        and np.median(cells.disparity_px[piece.inside]) <= farthest_px
+    ]
 
 
 def _sureness(piece: Piece, cells: Cells) -> float:

@@ -101,6 +101,15 @@ def test_a_wall_before_what_is_unsure_takes_nothing() -> None:
     np.testing.assert_array_equal(with_backdrops(nearer, *views()).disparity_px, nearer.disparity_px)
 
 
+def test_a_wall_half_way_to_the_front_is_no_backdrop() -> None:
+    """A table cloth does not go to the bottle of its colour."""
+    found = stuck()
+    farther_px = found.disparity_px.copy()
+    farther_px[:100] -= 40  # most of the picture lies far behind both
+    made = with_backdrops(DisparityMap(farther_px, found.confidence, found.valid), *views())
+    np.testing.assert_array_equal(made.disparity_px[100:], farther_px[100:])
+
+
 def test_small_pictures_and_textures_are_left_alone(rng: np.random.Generator) -> None:
     small = DisparityMap(np.zeros((40, 40), np.float32), np.zeros((40, 40), np.float32), np.ones((40, 40), np.bool_))
     assert with_backdrops(small, np.zeros((40, 40, 3), np.float32), np.zeros((40, 40, 3), np.float32)) is small
