@@ -1,9 +1,9 @@
-"""Plain walls behind things: what a network cannot match it continues from what it can, and beside a thing that is it.
+"""Plain walls behind things: a network continues into them the thing that it can match, and here they are put back.
 
-The side of a wall that src does not see, and a wall without any texture, take the disparity of the thing that stands
-before them; elsewhere, beyond the thing, the same wall is matched. So plain, unsure cells that reach the border of the
-picture go to the farthest large piece that has their colour, if it lies behind them, and if the views bear it out:
-where both see the wall it must fit as well as what was found.
+It does so where src does not see the wall, or where the wall has no texture at all; beyond the thing, the same wall is
+often matched. So plain, unsure cells that reach the border of the picture go to the farthest large piece that has
+their colour, if it lies behind them and the views bear it out: where both see the wall it must fit as well as what was
+found.
 Letters: H W image; h w grid of cells.
 """
 
@@ -70,8 +70,11 @@ def with_backdrops(found: DisparityMap, ref: FloatImage, src: FloatImage) -> Dis
         return found
     lab = cv2.cvtColor(np.ascontiguousarray(ref, dtype=np.float32), cv2.COLOR_RGB2LAB)
     colour = np.asarray(lab, dtype=np.float32)
+    regions = _regions(cells, is_plain, at_centres(mean_around(colour, CELL_PX + 1)))
+    if not regions:
+        return found
     moved_px = found.disparity_px.copy()
-    for region, surface_px in _regions(cells, is_plain, at_centres(mean_around(colour, CELL_PX + 1))):
+    for region, surface_px in regions:
         surface = enlarged(surface_px, moved_px.shape, cv2.INTER_LINEAR)
         goes = _with_rim(region, colour) & (surface < moved_px - BEHIND_PX)
         moved_px[goes] = surface[goes]
@@ -109,6 +112,7 @@ def _regions(cells: Cells, is_plain: BoolMap, colour: FloatMap) -> list[tuple[Bo
 
 
 def _is_most(region: BoolMap, rest: BoolMap) -> bool:
+    """Whether a region holds half of the cells that are left, or more."""
     return bool((region & rest).sum() >= rest.sum() / 2 > 0)
 
 
