@@ -1,9 +1,9 @@
 """Fringes of an outline: hair, twigs and wires, too thin for a matcher and a median, told from the ground by colour.
 
-Where the two surfaces at an edge differ in colour as a whole, the colours of either, beyond the reach of doubt, are a
-normal distribution, and Fisher's discriminant between them says of which a pixel of the rear side is. It comes to the
-front if it is thin and hangs together with the front surface: broad areas are left to matching, for shadows and
-stains look like the thing that they lie beside.
+Where the two surfaces at an edge differ in colour as a whole, the colours of either, beyond the reach of doubt, are
+taken for normally distributed, and Fisher's discriminant between them says of which a pixel of the rear side is. It
+comes to the front if it is thin and hangs together with the front surface: broad areas are left to matching, for
+shadows and stains look like the thing that they lie beside.
 Letters: H W image; N pixels beside an edge.
 """
 
@@ -84,6 +84,7 @@ def with_fringes(disparity_px: FloatMap, guide_rgb: FloatMap, *, jump_px: float,
     width = scale * (BROAD_PX - 1) + 1
     is_thin = cv2.morphologyEx(looks_front.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8)) == 0
     is_fringe = ~is_front & _holding(is_front | (looks_front & is_thin), is_front)
+    # Not of the nearest pixel of the front: beside an edge a network's map may still lean to the rear.
     fringed_px = disparity_px.copy()
     fringed_px[is_fringe] = disparity_px.ravel()[nearest_known(front)[1][is_fringe]]
     return np.maximum(fringed_px, disparity_px)

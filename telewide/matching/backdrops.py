@@ -1,6 +1,6 @@
-"""Plain walls behind things: a network continues into them the thing that it can match, and here they are put back.
+"""Plain walls behind things: where a network cannot match one, it gives it the disparity of the thing before it.
 
-It does so where src does not see the wall, or where the wall has no texture at all; beyond the thing, the same wall is
+That is where src does not see the wall, or where the wall has no texture at all; beyond the thing, the same wall is
 often matched. So plain, unsure cells that reach the border of the picture go to the farthest large piece that has
 their colour, if it lies behind them and the views bear it out: where both see the wall it must fit as well as what was
 found.
@@ -26,8 +26,9 @@ from telewide.matching.pieces import (
     mean_around,
 )
 
-UNSURE, HARDLY_SURE = 0.4, 0.5
-"""Confidence below which cells go to a wall; and below which plain cells that hang together with them go along."""
+UNSURE, HARDLY_SURE, SURE = 0.4, 0.5, 0.9
+"""Confidence below which cells go to a wall; below which plain cells that hang together with them go along; and from
+which on a pixel stays in any case."""
 LEAST_SURE, SURER = 0.3, 1.4
 """Median confidence of a wall at the least; and how many times as sure as a cell that goes to it."""
 LEAST_WALL, LEAST_REGION = 0.02, 0.01
@@ -59,7 +60,7 @@ def with_backdrops(found: DisparityMap, ref: FloatImage, src: FloatImage) -> Dis
         src: (H, W, 3) the other view.
 
     Returns:
-        The map with other disparities, all of them smaller; confidence and what counts as measured are the same.
+        The map; disparities that change get smaller. Confidence and what counts as measured are the same.
     """
     if min(found.disparity_px.shape) < LEAST_SIDE_PX:
         return found
@@ -76,14 +77,14 @@ def with_backdrops(found: DisparityMap, ref: FloatImage, src: FloatImage) -> Dis
     moved_px = found.disparity_px.copy()
     for region, surface_px in regions:
         surface = enlarged(surface_px, moved_px.shape, cv2.INTER_LINEAR)
-        goes = _with_rim(region, colour) & (surface < moved_px - BEHIND_PX)
+        goes = _with_rim(region, colour) & (found.confidence < SURE) & (surface < moved_px - BEHIND_PX)
         moved_px[goes] = surface[goes]
     is_borne_out = _borne_out(found.disparity_px, moved_px, ref, src)
     return DisparityMap(np.where(is_borne_out, moved_px, found.disparity_px), found.confidence, found.valid)
 
 
 def _large_at_border(mask: BoolMap) -> BoolMap:
-    """Pieces of a grid that reach its border and are no small ones, without what is one cell wide."""
+    """Pieces of a grid that reach its border and are no small ones, without what is less than three cells wide."""
     opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
     count, piece = cv2.connectedComponents(opened, connectivity=8)
     is_large = np.bincount(piece.ravel(), minlength=count) >= LEAST_REGION * mask.size
@@ -172,10 +173,12 @@ def _borne_out(disparity_px: FloatMap, moved_px: FloatMap, ref: FloatImage, src:
     """(H, W) regions that moved and fit no worse where they are than where they were."""
     is_moved = moved_px != disparity_px
     count, region = cv2.connectedComponents(is_moved.astype(np.uint8), connectivity=8)
-    size = np.bincount(region.ravel(), minlength=count)
+    # Beside an outline both views show a blend, which goes with the thing.
+    inner = region * cv2.erode(is_moved.astype(np.uint8), np.ones((4 * round(SMOOTH_PX) + 1,) * 2))
+    size = np.bincount(inner.ravel(), minlength=count)
     smooth = [_smooth(view) for view in (ref, src)]
     (seen_before, misfit_before), (seen, misfit) = (
-        _misfit(px, *smooth, region=region, count=count) for px in (disparity_px, moved_px)
+        _misfit(px, *smooth, region=inner, count=count) for px in (disparity_px, moved_px)
     )
     is_seen_before, is_seen = (n >= np.maximum(LEAST_PX, LEAST_SEEN * size) for n in (seen_before, seen))
     fits = misfit <= MISFIT * misfit_before + MISFIT_BY
@@ -200,7 +203,6 @@ def _misfit(
     at = (row[is_inside].astype(np.int64), nearest[is_inside])
     front_px = np.full((height, width), -np.inf, dtype=np.float32)
     np.maximum.at(front_px, at, disparity_px[is_inside])
-    # Beside what is nearer src shows a blend.
     front_px = np.asarray(cv2.dilate(front_px, np.ones((4 * round(SMOOTH_PX) + 1,) * 2)), dtype=np.float32)
     is_seen = is_inside.copy()
     is_seen[is_inside] = front_px[at] < disparity_px[is_inside] + HIDDEN_BY_PX

@@ -203,8 +203,8 @@ def _moved(x: Tensor, cells: int) -> Tensor:
 
 def _kept_within(disparity: Tensor, window: Window, centre_px: int) -> Tensor:
     kept = disparity.clamp(window[0] - centre_px, window[1] - 1 - centre_px)
-    # The gradient passes: what lies outside of the window could not return else.
-    return disparity + (kept - disparity).detach()
+    # The gradient passes: otherwise what lies outside the window could not return.
+    return kept.detach() + (disparity - disparity.detach())
 
 
 def _volume_around(disparity_px_BHW: Tensor, ref_BCHW: Tensor, src_BCHW: Tensor, window: Window) -> Tensor:

@@ -149,7 +149,8 @@ class Piece:
 
     def flattened(self, cells: Cells) -> Piece:
         """The plane through its cells, which goes on beyond them where a bend would run away."""
-        plane = self.coefficients.copy()[:_AFFINE_TERMS]
+        terms, values_px = cells.terms[:_AFFINE_TERMS, self.inside], cells.disparity_px[self.inside]
+        plane = _least_squares(terms, values_px.astype(np.float64), cells.weight[self.inside])
         return _fitted(Piece(self.inside, plane), cells, width=4.0)
 
 
@@ -205,10 +206,13 @@ def _fitted(piece: Piece, cells: Cells, *, width: float) -> Piece:
     coefficients = piece.coefficients
     for _ in range(_REWEIGHTINGS):
         off = np.minimum(np.abs(values_px - coefficients @ terms) / reach_px, 1)
-        weighted = terms * (weights * (1 - off * off) ** 2)
-        ridge = 1e-9 * np.eye(len(terms))
-        coefficients = np.linalg.solve(weighted @ terms.T + ridge, weighted @ values_px)
+        coefficients = _least_squares(terms, values_px, weights * (1 - off * off) ** 2)
     return Piece(inside, coefficients)
+
+
+def _least_squares(terms: FloatArray, values: FloatArray, weights: FloatArray) -> FloatArray:
+    weighted = terms * weights
+    return np.asarray(np.linalg.solve(weighted @ terms.T + 1e-9 * np.eye(len(terms)), weighted @ values))
 
 
 def enlarged(cells: FloatMap, hw: tuple[int, ...], interpolation: int) -> FloatMap:

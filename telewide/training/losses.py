@@ -21,6 +21,10 @@ SSIM_C1 = 0.01**2
 SSIM_C2 = 0.03**2
 
 
+LEAST_HALVED_PX = 8
+"""Views are not halved to less, of either side."""
+
+
 @dataclass(frozen=True)
 class Term:
     """One loss over some pixels.
@@ -83,12 +87,12 @@ def photometric_loss(
         disparity_px_BHW: (B, H, W) d_L, px.
         mask_BHW: (B, H, W) bool, the pixels that count.
         alpha: weight of the structural part; 3 in the paper.
-        halvings: how often views and disparity are halved and compared again; the mean counts. Fine views say which way
-            the truth lies to a few px only.
+        halvings: how often views and disparity are halved and compared again, down to `LEAST_HALVED_PX`; the mean
+            counts, of a part of a batch its own. Fine views tell the direction of the truth only within a few px of it.
     """
     difference = reconstruction_difference(ref_BCHW, warp_to_ref(src_BCHW, disparity_px_BHW), alpha=alpha)
     fine = _masked(difference, mask_BHW[:, 1:-1, 1:-1])
-    if not halvings:
+    if not halvings or min(ref_BCHW.shape[-2:]) < 2 * LEAST_HALVED_PX:
         return fine
     ref, src, disparity, share = (
         functional.avg_pool2d(x, 2) for x in (ref_BCHW, src_BCHW, disparity_px_BHW[:, None], mask_BHW[:, None].float())
@@ -96,7 +100,9 @@ def photometric_loss(
     coarse = photometric_loss(
         ref, src, disparity[:, 0] / 2, mask_BHW=share[:, 0] == 1, alpha=alpha, halvings=halvings - 1
     )
-    coarse_total = coarse.total * fine.count / coarse.count.clamp(min=1)
+    if not coarse.count:  # each of its cells holds pixels that do not count
+        return fine
+    coarse_total = coarse.total * fine.count / coarse.count
     return Term((fine.total + halvings * coarse_total) / (1 + halvings), fine.count)
 
 

@@ -67,6 +67,39 @@ def test_a_slanted_wall_goes_on_in_its_plane() -> None:
     assert np.abs(made.disparity_px - slant_px)[:, : LEFT - 2].max() < 0.5
 
 
+def test_the_other_side_of_a_thing_returns_too() -> None:
+    """Src sees all of it, and beside the thing both views show a blend that fits the thing alone."""
+    x = columns()
+    found = stuck()
+    left_px = np.where(x < LEFT, np.float32(WALL_PX), np.float32(THING_PX))
+    sure = np.where(x < RIGHT, np.float32(0.9), np.float32(0.1))
+    made = with_backdrops(DisparityMap(left_px, sure, found.valid), *views())
+    assert np.abs(made.disparity_px[:, RIGHT + 2 :] - WALL_PX).max() < 0.1
+
+
+def test_a_bent_wall_at_the_side_of_the_picture_goes_on_in_its_slope() -> None:
+    rows = np.broadcast_to(np.arange(HW[0], dtype=np.float32)[:, None], HW)
+    x = columns()
+    wall_px = 4 + 0.02 * rows + 1e-4 * (x - 260) ** 2
+    found = stuck()
+    bent = DisparityMap(np.where(x < RIGHT, 30, wall_px).astype(np.float32), found.confidence, found.valid)
+    made = with_backdrops(bent, *views())
+    moved = made.disparity_px[:, : LEFT - 2]
+    assert np.abs(moved - (4 + 0.02 * rows[:, : LEFT - 2])).max() < 1
+
+
+def test_sure_pixels_of_a_thing_of_the_walls_colour_stay_at_its_rim() -> None:
+    ref, src = views()
+    x = columns()
+    pale = 0.58 * np.float32([1, 0.95, 0.9])
+    ref[is_thing()] = pale
+    src[(x + THING_PX >= LEFT) & (x + THING_PX < RIGHT)] = pale
+    found = stuck()
+    sure = np.where(is_thing(), np.float32(0.95), found.confidence)
+    made = with_backdrops(DisparityMap(found.disparity_px, sure, found.valid), ref, src)
+    np.testing.assert_array_equal(made.disparity_px[is_thing()], THING_PX)
+
+
 def test_what_is_of_the_walls_colour_and_fits_where_it_was_stays() -> None:
     found = stuck()
     made = with_backdrops(found, *views(height=0.03, left_px=THING_PX))

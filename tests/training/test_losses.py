@@ -123,6 +123,23 @@ def test_halved_views_say_which_way_the_truth_lies_from_afar() -> None:
     assert slope(4) < 3 * slope(0)
 
 
+def test_small_views_are_halved_as_often_as_they_can_be() -> None:
+    ref, src, truth = exact_pair(3, hw=(16, 40))
+    once, often = (
+        photometric_loss(ref, src, truth + 1, mask_BHW=everywhere(ref), alpha=3.0, halvings=halvings)
+        for halvings in (1, 6)
+    )
+    assert torch.isfinite(often.total)
+    assert float(often.total) > 0
+    assert float(once.count) == float(often.count)
+    scattered = everywhere(ref)
+    scattered[..., ::2] = False  # no halved pixel is whole
+    alone, halved = (
+        photometric_loss(ref, src, truth + 1, mask_BHW=scattered, alpha=3.0, halvings=halvings) for halvings in (0, 1)
+    )
+    assert float(alone.total) == float(halved.total)
+
+
 def test_halving_leaves_out_what_is_masked_and_its_gradient_is_exact() -> None:
     ref, src, truth = exact_pair(4)
     spoilt = src.clone()
