@@ -97,7 +97,11 @@ def _large_at_border(mask: BoolMap) -> BoolMap:
 
 def _regions(cells: Cells, is_plain: BoolMap, colour: FloatMap) -> list[tuple[BoolMap, FloatMap]]:
     """Regions (h, w) of the picture that go to a wall, each with its surface (h, w)."""
-    walls = [(_region(wall, cells, is_plain, colour), _continued(wall, cells)) for wall in _walls(cells)]
+    surfaces = [(wall, _continued(wall, cells)) for wall in _walls(cells)]
+    walls = [
+        (_region(wall, cells, colour, may_go=is_plain & (surface_px < cells.disparity_px - BEHIND_PX)), surface_px)
+        for wall, surface_px in surfaces
+    ]
     is_free = _large_at_border(np.any([region for region, _ in walls], axis=0)) if walls else np.zeros_like(is_plain)
     count, piece = cv2.connectedComponents(is_free.astype(np.uint8), connectivity=8)
     regions = []
@@ -139,13 +143,12 @@ def _sureness(piece: Piece, cells: Cells) -> float:
     return float(np.median(cells.confidence[piece.inside]))
 
 
-def _region(wall: Piece, cells: Cells, is_plain: BoolMap, colour: FloatMap) -> BoolMap:
-    """Plain cells (h, w) before a wall that have its colour and hang together with some that are unsure."""
+def _region(wall: Piece, cells: Cells, colour: FloatMap, *, may_go: BoolMap) -> BoolMap:
+    """Cells (h, w) of those that may go to a wall that have its colour and hang together with some that are unsure."""
     off = np.abs(colour - np.median(colour[wall.inside], axis=0))
     is_alike = (off[..., 0] < LIGHTNESS) & (np.hypot(off[..., 1], off[..., 2]) < CHROMA)
-    is_before = _continued(wall, cells) < cells.disparity_px - BEHIND_PX
     sure = _sureness(wall, cells)
-    may_go = is_plain & is_alike & is_before & ~wall.inside & (cells.confidence < sure)
+    may_go = may_go & is_alike & ~wall.inside & (cells.confidence < sure)
     _, piece = cv2.connectedComponents(may_go.astype(np.uint8), connectivity=4)
     goes = np.unique(piece[may_go & (cells.confidence < min(UNSURE, sure / SURER))])
     return may_go & np.isin(piece, goes)
