@@ -156,8 +156,8 @@ def match_with_network(
             *views, network=network, window=scaled_window(window, scale), max_tile_pixels=max_tile_pixels
         )
         found = _shrunken(larger, hw)
-    found = without_unphotographed(found, valid)  # first, so that no wall is looked for beyond a photo
-    return refine(found, ref, src) if network.has_confidence else found
+    found = without_unphotographed(found, valid)  # before, so that no wall is looked for beyond a photo
+    return without_unphotographed(refine(found, ref, src), valid) if network.has_confidence else found
 
 
 def enlarged_size(ref: FloatImage, src: FloatImage, *, network: StereoNetwork) -> tuple[int, int]:

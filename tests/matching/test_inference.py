@@ -15,7 +15,7 @@ from telewide.assets import BOX_WEIGHTS
 from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import find_captures, read_pair
 from telewide.errors import MissingPartError
-from telewide.geometry.stereo import DisparityMap
+from telewide.geometry.stereo import DisparityMap, ValidMasks
 from telewide.matching import inference
 from telewide.matching.inference import (
     GRID_PX,
@@ -389,6 +389,30 @@ def test_a_match_is_refined_where_the_network_knows_how_sure_it_is(
     expected = refine(matched, *example) if is_refined else matched
     np.testing.assert_array_equal(made.disparity_px, expected.disparity_px)
     assert np.array_equal(made.disparity_px, matched.disparity_px) is not is_refined
+
+
+def test_beyond_a_photo_nothing_is_sure_before_a_match_is_refined_nor_after(
+    example: Views, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So no wall is looked for there; and what moves to where src shows no photo is no longer measured."""
+    hw = example[0].shape[:2]
+    ref, src = np.ones(hw, np.bool_), np.ones(hw, np.bool_)
+    ref[:, : hw[1] // 4] = False
+    src[:, -hw[1] // 4 :] = False
+    valid = ValidMasks(ref, src)
+    handed = []
+
+    def refined(found: DisparityMap, ref: NDArray[np.float32], src: NDArray[np.float32]) -> DisparityMap:
+        handed.append(found)
+        return DisparityMap(found.disparity_px - 8, np.ones(hw, np.float32), np.ones(hw, np.bool_))
+
+    monkeypatch.setattr(inference, "refine", refined)
+    made = match_with_network(*example, network=build_network("guided", seed=1), window=(0, 32), valid=valid)
+    assert not handed[0].confidence[~ref].any()
+    comparable = valid.comparable(made.disparity_px)
+    assert not comparable.all()
+    np.testing.assert_array_equal(made.valid, comparable)
+    assert not made.confidence[~comparable].any()
 
 
 @pytest.mark.parametrize(("factor", "is_enlarged"), [(1, True), (4, True), (12, False)])
