@@ -1,9 +1,8 @@
 """Even surfaces of a matched map: what a network draws of a plain wall ripples, the wall does not.
 
 On a surface the errors of a network are smooth, and larger where it is less sure. So large even pieces of the map are
-looked for, and pixels are pulled to their piece: within what
-their confidence leaves open, and not where the network is sure of texture. Edges of depth, and what stands before a
-piece, stay as they are.
+looked for, and pixels are pulled to their piece: within what their confidence leaves open, and not where the network
+is sure of texture. Edges of depth, and what stands before a piece, stay as they are.
 Letters: H W image; h w grid of cells; K terms of a polynomial.
 """
 
