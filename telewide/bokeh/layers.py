@@ -168,6 +168,38 @@ class Fronts:
 
 
 @dataclass(frozen=True)
+class Behind:
+    """Light known to lie behind pixels of the photo, row by row: places (N,), linear light (N, 3), blur radius (N,)."""
+
+    y: NDArray[np.int64]
+    x: NDArray[np.int64]
+    light: FloatMap
+    radius_px: FloatMap
+
+
+@dataclass(frozen=True)
+class _Hidden:
+    """The same, sorted: places (N,), light and 1 (N, 4), bins (N,) of it and of the rear part before it."""
+
+    y: NDArray[np.int64]
+    x: NDArray[np.int64]
+    light: FloatMap
+    own_bin: NDArray[np.uint8]
+    rear_bin: NDArray[np.uint8]
+
+    def count(self, index: int, box: Box, *, cell: int, seen: FloatMap, share: FloatMap) -> None:
+        """Add, to cells of a box, what of it is seen once all that is nearer than a bin is away."""
+        first, last = np.searchsorted(self.y, (box.top, box.bottom))
+        rows = slice(first, last)
+        is_shown = (self.own_bin[rows] <= index) & (self.rear_bin[rows] > index)
+        some = first + np.flatnonzero(is_shown & (self.x[rows] >= box.left) & (self.x[rows] < box.right))
+        y, x = (self.y[some] - box.top) // cell, (self.x[some] - box.left) // cell
+        np.add.at(share, (y, x), np.float32(1 / cell**2))
+        own = self.own_bin[some] == index
+        np.add.at(seen, (y[own], x[own]), self.light[some[own]] / np.float32(cell**2))
+
+
+@dataclass(frozen=True)
 class SortedPhoto:
     """A photo whose pixels are sorted by blur radius.
 
@@ -188,6 +220,7 @@ class SortedPhoto:
     occurs: BoolMap
     up_to: NDArray[np.uint8] | None
     _fronts: dict[int, Fronts]
+    _hidden: _Hidden | None = None
 
     @property
     def hw(self) -> tuple[int, int]:
@@ -258,7 +291,10 @@ class SortedPhoto:
 
     def _continued(self, index: int, box: Box, *, cell: int, reach_px: float) -> FloatMap:
         seen = self._seen(index, box, cell=cell)
-        known_share = self._share_up_to(index, box, cell=cell)[..., None]
+        share = self._share_up_to(index, box, cell=cell)
+        if self._hidden is not None:
+            self._hidden.count(index, box, cell=cell, seen=seen, share=share)
+        known_share = share[..., None]
         layer = np.asarray(seen / np.maximum(known_share, seen[..., 3:] + _TINY), dtype=np.float32)
         known = known_share[..., 0] >= LEAST_KNOWN
         if known.all() or not known.any():
@@ -332,13 +368,14 @@ def _smooth(layer: FloatMap, *, size: int) -> FloatMap:
     return np.asarray(mean * (layer[..., 3:] / np.maximum(mean[..., 3:], _TINY)), dtype=np.float32)
 
 
-def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> SortedPhoto:
+def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int, behind: Behind | None = None) -> SortedPhoto:
     """Sort a photo for a lens.
 
     Args:
         light: (H, W, 3) float32, linear light.
         radius_px: (H, W) float32, signed blur radius, larger is nearer, px.
         multiple: of which the sides are made, by mirroring what lies at their ends.
+        behind: what is known of what nearer surfaces hide; all else of it is continued from beside them.
     """
     bins = cut_into_bins(radius_px)
     split = split_mixed_pixels(light, radius_px)
@@ -361,7 +398,20 @@ def sort_photo(light: FloatImage, radius_px: FloatMap, *, multiple: int) -> Sort
     occurs, up_to = _counted(rear_bin, len(bins.radius_px), is_shared=multiple % SHARE_CELL_PX == 0)
     for index, some in fronts.items():
         occurs[some.y // BLOCK_PX, some.x // BLOCK_PX, index] = True
-    return SortedPhoto(rear, rear_bin, lowest_rear, bins=bins, occurs=occurs, up_to=up_to, _fronts=fronts)
+    hidden = None if behind is None else _hidden(behind, rear_bin, bins)
+    if hidden is not None:
+        occurs[hidden.y // BLOCK_PX, hidden.x // BLOCK_PX, hidden.own_bin] = True
+    return SortedPhoto(
+        rear, rear_bin, lowest_rear, bins=bins, occurs=occurs, up_to=up_to, _fronts=fronts, _hidden=hidden
+    )
+
+
+def _hidden(behind: Behind, rear_bin: NDArray[np.uint8], bins: Bins) -> _Hidden:
+    """Sort what lies behind pixels, and leave out what no bin hides."""
+    own_bin, before = bins.index(behind.radius_px), rear_bin[behind.y, behind.x]
+    some = np.flatnonzero(own_bin < before)
+    light = np.column_stack([behind.light[some], np.ones(len(some), np.float32)])
+    return _Hidden(behind.y[some], behind.x[some], light, own_bin=own_bin[some], rear_bin=before[some])
 
 
 def _enlarged(plane: NDArray[np.uint8], multiple: int) -> NDArray[np.uint8]:

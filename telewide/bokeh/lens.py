@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from telewide.bokeh.aperture import DISK, QUARTERS, Aperture, spot_of
-from telewide.bokeh.layers import Box, Fronts, SortedPhoto, box_of, shrunk, sort_photo, tiles_of
+from telewide.bokeh.layers import Behind, Box, Fronts, SortedPhoto, box_of, shrunk, sort_photo, tiles_of
 from telewide.cores import return_freed_memory, usable_cores
 from telewide.geometry.arrays import FloatImage, FloatMap
 
@@ -110,13 +110,19 @@ def spread_light(light: FloatImage, radius_px: FloatMap, *, aperture: Aperture =
         (H, W, 3) float32, linear light, nowhere outside the range of the input.
     """
     height, width = radius_px.shape
-    return spread_sorted(sort_for_lens(light, radius_px), aperture=aperture)[:height, :width]
+    return spread_sorted(sort_for_lens(light, radius_px, None), aperture=aperture)[:height, :width]
 
 
-def sort_for_lens(light: FloatImage, radius_px: FloatMap) -> SortedPhoto:
-    """Sort a photo for :func:`spread_sorted`, which needs nothing else of it; arguments as in :func:`spread_light`."""
+def sort_for_lens(light: FloatImage, radius_px: FloatMap, behind: Behind | None) -> SortedPhoto:
+    """Sort a photo for :func:`spread_sorted`, which needs nothing else of it.
+
+    Args:
+        light: (H, W, 3) float32, linear light of the sharp photo.
+        radius_px: (H, W) float32, signed radius of the circle of confusion, px; larger is nearer.
+        behind: what is known of what nearer surfaces hide.
+    """
     largest_px = max(-float(radius_px.min()), float(radius_px.max()))
-    return sort_photo(light, radius_px, multiple=_cell_of(largest_px))
+    return sort_photo(light, radius_px, multiple=_cell_of(largest_px), behind=behind)
 
 
 def spread_sorted(photo: SortedPhoto, *, aperture: Aperture = DISK) -> FloatImage:

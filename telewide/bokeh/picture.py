@@ -15,7 +15,7 @@ import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.focus import AF_WORD, Focus, find_focus, named_distance_m, named_point
-from telewide.bokeh.layers import SortedPhoto
+from telewide.bokeh.layers import Behind, SortedPhoto
 from telewide.bokeh.lens import IN_FOCUS_PX, sort_for_lens
 from telewide.bokeh.render import (
     LARGEST_RADIUS_SHARE,
@@ -28,7 +28,9 @@ from telewide.bokeh.render import (
     rendered,
 )
 from telewide.bokeh.subject import OUTLIER_PERCENT
-from telewide.bokeh.surroundings import WideView, find_surroundings
+from telewide.bokeh.surroundings import find_surroundings
+from telewide.bokeh.uncovered import find_uncovered
+from telewide.bokeh.wide_light import WideView
 from telewide.capture.exif import read_photo_facts
 from telewide.capture.pair import CaptureSet
 from telewide.depth.precision_notes import away_words
@@ -219,7 +221,8 @@ def bokeh_picture(
         options: focus and strength.
         baseline_m: distance of the lenses, m; needed for an f-number.
         focus: what is sharp; None finds what the options say.
-        wide: reads the wide photo, for the light from beyond the frame; None mirrors the world there.
+        wide: reads the wide photo, for the light from beyond the frame and from behind nearer things; None mirrors the
+            world there, and continues what is seen beside those.
 
     Returns:
         (H, W, 3) sRGB.
@@ -256,11 +259,16 @@ def _sorted(
         The sorted photo, None where all of it is sharp; the margin around it, px, 0 where wide shows nothing there.
     """
 
-    def lit() -> tuple[tuple[FloatMap, FloatMap] | None, int]:
-        photo, around = read_photo(), None
-        if wide is not None and margin_px > 0:
-            around = find_surroundings(photo, disparity_px, wide(), margin_px=margin_px)
-        return light_and_radius(photo, disparity_px, blur, around=around), 0 if around is None else margin_px
+    def lit() -> tuple[tuple[FloatMap, FloatMap, Behind | None] | None, int]:
+        photo, around, uncovered = read_photo(), None, None
+        step_px = largest_step_px(disparity_px, blur.focus_disparity_px, sharp_px=blur.sharp_px)
+        if wide is not None and step_px * blur.radius_per_px > IN_FOCUS_PX:
+            view = wide()
+            uncovered = find_uncovered(photo, disparity_px, view)
+            if margin_px > 0:
+                around = find_surroundings(photo, disparity_px, view, margin_px=margin_px)
+        made = light_and_radius(photo, disparity_px, blur, around=around, uncovered=uncovered)
+        return made, 0 if around is None else margin_px
 
     light, found_px = lit()  # the photos are let go
     return None if light is None else sort_for_lens(*light), found_px

@@ -16,10 +16,11 @@ import numpy as np
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.highlights import with_highlights
-from telewide.bokeh.layers import SortedPhoto
+from telewide.bokeh.layers import Behind, SortedPhoto
 from telewide.bokeh.lens import IN_FOCUS_PX, sort_for_lens, spread_sorted
 from telewide.bokeh.subject import OUTLIER_PERCENT
 from telewide.bokeh.surroundings import Surroundings
+from telewide.bokeh.uncovered import Uncovered
 from telewide.cores import usable_cores
 from telewide.depth.nearest import fill_unknown
 from telewide.errors import InputError, UsageError
@@ -41,6 +42,7 @@ def render_bokeh(
     aperture: Aperture = DISK,
     highlights: float = 1.0,
     around: Surroundings | None = None,
+    uncovered: Uncovered | None = None,
 ) -> FloatImage:
     """Blur a sharp photo as a wide-open lens would, focused at one disparity.
 
@@ -55,6 +57,7 @@ def render_bokeh(
         aperture: shape of the opening.
         highlights: how many times as bright as white small clipped lights are taken to have been, >= 1.
         around: what lies beyond the frame; beyond that, or without, the world is mirrored.
+        uncovered: what wide shows of what lies hidden; the rest is continued from beside what hides it.
 
     Returns:
         (H, W, 3) float32, in the range of the input; above it only where highlights are.
@@ -64,7 +67,7 @@ def render_bokeh(
         InputError: the disparity has another size than the photo, or no known value.
     """
     blur = Blur(focus_disparity_px, radius_per_px, sharp_px, highlights=highlights)
-    lit = light_and_radius(image_srgb, disparity_px, blur, around=around)
+    lit = light_and_radius(image_srgb, disparity_px, blur, around=around, uncovered=uncovered)
     if lit is None:
         return image_srgb.astype(np.float32, copy=True)
     photo = sort_for_lens(*lit)
@@ -91,8 +94,13 @@ class Blur:
 
 
 def light_and_radius(
-    image_srgb: FloatImage, disparity_px: FloatMap, blur: Blur, *, around: Surroundings | None = None
-) -> tuple[FloatImage, FloatMap] | None:
+    image_srgb: FloatImage,
+    disparity_px: FloatMap,
+    blur: Blur,
+    *,
+    around: Surroundings | None = None,
+    uncovered: Uncovered | None = None,
+) -> tuple[FloatImage, FloatMap, Behind | None] | None:
     """Make of a photo what a lens needs; the photo itself may be let go.
 
     Args:
@@ -100,10 +108,11 @@ def light_and_radius(
         disparity_px: (H, W) float32, px, on the photo; what is not finite is filled from its nearest neighbour.
         blur: of its disparities.
         around: what lies beyond the frame; beyond that, or without, the world is mirrored.
+        uncovered: what wide shows of what lies hidden; the rest is continued from beside what hides it.
 
     Returns:
-        Linear light (h, w, 3) and blur radius (h, w), px, the frame in the middle of what lies around; None where all
-        is sharp.
+        Linear light (h, w, 3) and blur radius (h, w), px, the frame in the middle of what lies around, and what is
+        known to lie behind them; None where all is sharp.
 
     Raises:
         UsageError: focus, radius or highlights are no finite numbers, or below their least.
@@ -119,12 +128,24 @@ def light_and_radius(
     cap_px = min(disparity_px.shape) * LARGEST_RADIUS_SHARE
     if around is not None:
         image_srgb, disparity_px = around.of(image_srgb), around.of_map(disparity_px)
-    radius_px = away_from_focus_px(fill_unknown(disparity_px), focus_disparity_px, blur.sharp_px)
-    radius_px *= np.float32(radius_per_px)
-    np.clip(radius_px, -cap_px, cap_px, out=radius_px)
+    radius_px = _radius_px(fill_unknown(disparity_px), blur, cap_px=cap_px)
     if max(-float(radius_px.min()), float(radius_px.max())) <= IN_FOCUS_PX:
         return None
-    return with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=blur.highlights), radius_px
+    margin_px = 0 if around is None else around.margin_px
+    behind = None if uncovered is None else _behind(uncovered, blur, cap_px=cap_px, margin_px=margin_px)
+    lit = with_highlights(_by_strips(linear_from_srgb, image_srgb), image_srgb, times=blur.highlights)
+    return lit, radius_px, behind
+
+
+def _behind(uncovered: Uncovered, blur: Blur, *, cap_px: float, margin_px: int) -> Behind:
+    radius_px = _radius_px(uncovered.disparity_px, blur, cap_px=cap_px)
+    return Behind(uncovered.y + margin_px, uncovered.x + margin_px, linear_from_srgb(uncovered.colour), radius_px)
+
+
+def _radius_px(disparity_px: FloatMap, blur: Blur, *, cap_px: float) -> FloatMap:
+    radius_px = away_from_focus_px(disparity_px, blur.focus_disparity_px, blur.sharp_px)
+    radius_px *= np.float32(blur.radius_per_px)
+    return np.clip(radius_px, -cap_px, cap_px, out=radius_px)
 
 
 def rendered(photo: SortedPhoto, *, aperture: Aperture, hw: tuple[int, ...], margin_px: int) -> FloatImage:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from telewide.bokeh.surroundings import WideView
+from telewide.bokeh.wide_light import WideView
 from telewide.capture.images import read_image
 from telewide.capture.pair import Capture
 from telewide.capture.photo_store import PhotoStore

@@ -25,7 +25,7 @@ from telewide.bokeh.picture import (
     held_back_note,
     why_no_bokeh,
 )
-from telewide.bokeh.surroundings import WideView
+from telewide.bokeh.wide_light import WideView
 from telewide.capture.carried import CarriedFacts, read_carried
 from telewide.capture.colour_profiles import is_other_than_srgb
 from telewide.capture.exif import read_photo_facts

@@ -14,7 +14,8 @@ from telewide.bokeh.focus import Focus
 from telewide.bokeh.layers import Box
 from telewide.bokeh.picture import BokehOptions, bokeh_picture
 from telewide.bokeh.render import render_bokeh
-from telewide.bokeh.surroundings import Surroundings, WideView, find_surroundings
+from telewide.bokeh.surroundings import Surroundings, find_surroundings
+from telewide.bokeh.wide_light import WideView
 from telewide.geometry.rig import StereoRig
 from telewide.geometry.stereo import DisparityMap
 from telewide.metrics import psnr_db
