@@ -55,7 +55,7 @@ class Paint:
 _COLUMNS = {"local": 9, "centre": 3, "size": 3, "kind": 1, "taper": 1, "texture": 1, "macro": 1, "density": 1}
 _COLUMNS |= {"offset": 2, "contrast": 1, "macro_contrast": 1, "tint": 3, "gloss": 1}
 _ENDS = dict(zip(_COLUMNS, np.cumsum(list(_COLUMNS.values())).tolist(), strict=True))
-_SKY_KIND = 6
+_SKY_KIND = len(Kind)
 
 
 def paint_of(world: World, palette: Palette) -> Paint:
