@@ -27,7 +27,8 @@ def named() -> list[tuple[str, str]]:
 def test_functions_are_in_their_files(path: str, name: str) -> None:
     module = next(module for module in modules() if module.path == PACKAGE / path)
     defined = {node.name for node in module.tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    defined |= {node.id for assign in module.tree.body for node in ast.walk(assign) if isinstance(node, ast.Name)}
+    assigned = [target for node in module.tree.body if isinstance(node, ast.Assign) for target in node.targets]
+    defined |= {target.id for target in assigned if isinstance(target, ast.Name)}
     assert name in defined
 
 
