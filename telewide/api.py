@@ -296,7 +296,9 @@ def render_bokeh(
         highlights=highlights,
     )
     maps = depth.disparity
-    found = find_focus(maps.disparity_px, maps.confidence, focus=focus, disparity_at_m=depth.disparity_at)
+    found = find_focus(
+        maps.disparity_px, maps.confidence, focus=focus, disparity_at_m=depth.disparity_at, valid=maps.valid
+    )
     return bokeh_picture(lambda: photo, maps, options=options, baseline_m=depth.baseline_m, focus=found)
 
 

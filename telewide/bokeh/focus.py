@@ -23,6 +23,7 @@ AF_WORD = "af"
 """The place that the photo's EXIF names; `named_focus` turns it into a point."""
 CONFIDENT = 0.5
 POINT_WINDOW_PX = 2
+MOST_LIKELY_M = 10.0  # a larger number without a unit may be centimetres
 SAME_SURFACE_PX = 1.0
 _DISTANCE = re.compile(r"(\d*\.?\d+|\d+\.)\s*(c?)m")
 
@@ -52,6 +53,7 @@ def find_focus(
     *,
     focus: str,
     disparity_at_m: Callable[[float], float] | None = None,
+    valid: BoolMap | None = None,
 ) -> Focus:
     """Find what to focus on.
 
@@ -61,6 +63,7 @@ def find_focus(
         focus: "X,Y", a point of the tele photo in px; "2.5m" or "80cm", a distance along the optical axis; "near" or
             "far", the nearest or farthest confident surface; "auto", the subject, sharp in its whole depth.
         disparity_at_m: tells the disparity at a distance, px; None where metres are not known.
+        valid: (H, W) bool, what was measured, on which "near", "far" and a distance are looked for; None for all.
 
     Returns:
         The plane of focus, and a point that lies on it.
@@ -83,12 +86,14 @@ def find_focus(
     trusted = known & (confidence >= CONFIDENT)
     if not trusted.any():
         trusted = known
+    if _word(focus) == "auto":
+        return _on_subject(disparity_px, trusted, confidence)
+    if valid is not None and (trusted & valid).any():
+        trusted = trusted & valid
     if distance_m is not None and disparity_at_m is not None:
         placed = _placed(disparity_px, trusted, disparity_at_m(distance_m))
         off_px = abs(float(disparity_px[placed.y_px, placed.x_px]) - placed.disparity_px)
         return replace(placed, is_on_surface=off_px <= SAME_SURFACE_PX)
-    if _word(focus) == "auto":
-        return _on_subject(disparity_px, trusted, confidence)
     percent = 100 - OUTLIER_PERCENT if _word(focus) == "near" else OUTLIER_PERCENT
     return _placed(disparity_px, trusted, float(np.percentile(disparity_px[trusted], percent)))
 
@@ -130,7 +135,7 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
         raise UsageError(
             f"focus {focus!r}: expected X,Y in pixels of the tele photo, a distance such as 2.5m or 80cm, or one of "
             f"{', '.join((*FOCUS_WORDS, AF_WORD))}",
-            hint=f"did you mean {_word(focus)}m?" if _DISTANCE.fullmatch(f"{_word(focus)}m") else None,
+            hint=_perhaps_meant(_word(focus)),
         ) from None
     if hw is not None and not (-0.5 <= x < hw[1] - 0.5 and -0.5 <= y < hw[0] - 0.5):
         raise UsageError(
@@ -138,6 +143,16 @@ def named_point(focus: str, *, hw: tuple[int, int] | None) -> tuple[int, int] | 
             hint=f"x runs from 0 to {hw[1] - 1}, y from 0 to {hw[0] - 1}",
         )
     return column, row
+
+
+def _perhaps_meant(word: str) -> str | None:
+    """Guess the distance that a word without a unit, or with a decimal comma, was meant to be."""
+    dotted = word.replace(",", ".")
+    if _DISTANCE.fullmatch(dotted):
+        return f"did you mean {dotted}?"
+    if not _DISTANCE.fullmatch(f"{dotted}m"):
+        return None
+    return f"did you mean {dotted}m?" if float(dotted) < MOST_LIKELY_M else f"did you mean {dotted}cm, or {dotted}m?"
 
 
 def named_focus(focus: str, subject_uv: tuple[float, float] | None, *, hw: tuple[int, int]) -> str:

@@ -234,7 +234,7 @@ def bokeh_picture(
     if refusal is not None:
         raise UsageError(refusal)
     if focus is None:
-        focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus)
+        focus = find_focus(disparity.disparity_px, disparity.confidence, focus=options.focus, valid=disparity.valid)
     disparity_px = disparity.disparity_px
     radius_per_px = blur_per_px(disparity_px, focus, options=options, baseline_m=baseline_m)
     blur = Blur(focus.disparity_px, radius_per_px, focus.sharp_px, highlights=options.highlights or 1.0)

@@ -10,6 +10,7 @@ Letters: H W image.
 
 from __future__ import annotations
 
+import re
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -33,6 +34,7 @@ from telewide.geometry.arrays import FloatImage
 from telewide.ranges import MAX_SCANS
 
 _TAG_ORIENTATION = 274
+_PILLOWS_COUNT = re.compile(r" \(\d+ bytes not processed\)")  # of its buffer, which nobody asked for
 _REDUCED = {"L", "LA", "RGB", "RGBA", "CMYK"}
 
 
@@ -152,7 +154,7 @@ def focal_length_mm(path: Path) -> float | None:
 
 def _reason(error: Exception) -> str:
     """Return what a decoder says, in one line; Pillow names an object in memory where it knows no reason."""
-    said = str(error).strip().partition("\n")[0]
+    said = _PILLOWS_COUNT.sub("", str(error).strip().partition("\n")[0])
     return "nothing in it can be recognised" if isinstance(error, UnidentifiedImageError) or not said else said
 
 

@@ -265,7 +265,7 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
             present = roles.get(other) or roles.get("truth") or []
             return f"the {view} view is missing; found {listed(present)}{_misspelt(view, roles.get(_OTHER, []))}"
     tele, wide = _pair(roles)
-    if is_same_file(tele, wide):
+    if is_same_file(tele, wide) and tele.stat().st_size:  # reading an empty one says that it is empty
         return f"{tele} and {wide} {_THE_SAME}"
     return None
 

@@ -145,7 +145,7 @@ def _sentence_of_parser(message: str) -> str:
         nearest = difflib.get_close_matches(_ALSO_CALLED.get(given, given), known, n=1)
         return f"{message} Did you mean {nearest[0]}?" if nearest else message
     if message.startswith("Got unexpected extra argument"):
-        return f"{message}; a folder holds many captures, and --only NAME, which may be repeated, takes some of them"
+        return f"{message}; an option takes one word, without spaces; of a folder, --only NAME takes some captures"
     return message
 
 

@@ -16,8 +16,19 @@ if TYPE_CHECKING:
     from telewide.bokeh.picture import BokehOptions, PictureKind
 
 FocusOption = Annotated[str, typer.Option(metavar="X,Y|2.5m|80cm|near|far|auto|af", help="What is sharp in the bokeh.")]
+
+
+def _f_number(text: str) -> float:
+    """Read "1.8" or "f/1.8"."""
+    try:
+        return float(text.strip().lower().removeprefix("f/"))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}; a number such as 1.8 was expected") from None
+
+
 FNumberOption = Annotated[
-    float | None, typer.Option(help="Aperture of the lens to imitate; needs the lenses' distance.")
+    float | None,
+    typer.Option(metavar="N", parser=_f_number, help="Aperture of the lens to imitate; needs the lenses' distance."),
 ]
 EquivFocalOption = Annotated[
     float | None,
@@ -35,7 +46,7 @@ BladesOption = Annotated[
     str | None,
     typer.Option(
         metavar="N[,ROUND[,DEG]]",
-        help="Blades of the opening, how round they are (0 to 1), and how far it is turned. [default: a disk]",
+        help="Blades of the opening, 5 to 16, how round they are (0 to 1), and how far it is turned. [default: a disk]",
     ),
 ]
 HighlightsOption = Annotated[

@@ -62,6 +62,11 @@ class ReportRow:
     made_by: str = ""
 
     @property
+    def photo(self) -> Picture:
+        """The picture of tele, which the viewer opens; the first where none is called so."""
+        return next((picture for picture in self.pictures if picture.label == "tele"), self.pictures[0])
+
+    @property
     def is_upright(self) -> bool:
         """Whether its first picture is taller than wide."""
         return self.pictures[0].wh[1] > self.pictures[0].wh[0]
@@ -185,7 +190,7 @@ def write_report(
         title=title,
         summary=summary,
         rows=rows,
-        scenes=[_Scene(row.name, row.pictures[0], _told(row, next_steps)) for row in rows if row.viewed is not None],
+        scenes=[_Scene(row.name, row.photo, _told(row, next_steps)) for row in rows if row.viewed is not None],
         others=others,
         index=index,
         table=_table(rows),

@@ -101,7 +101,7 @@ def bokeh_of_capture(
     of_photo = read_photo_facts(source.tele_path)
     subject_uv = _upright_place(of_photo.subject_uv, turned_deg=turned_deg)
     named = named_focus(options.focus, subject_uv, hw=maps.disparity_px.shape)
-    focus = find_focus(maps.disparity_px, maps.confidence, focus=named, disparity_at_m=result.disparity_at)
+    focus = _focus_of(result, named)
     is_own = has_own_colours(carried)
     if is_own:
         read_photo = partial(read_in_own_colours, source, turned_deg=turned_deg)
@@ -121,6 +121,11 @@ def bokeh_of_capture(
     files = BokehFiles(pixels, facts, names) if names else None
     no_exr = no_exr_note(result.name) if len(names) < len(bokeh_names(options)) else None
     return CaptureBokeh(files, tuple(told for told in (note, held_back, no_exr) if told is not None), numbers)
+
+
+def _focus_of(result: DepthResult, named: str) -> Focus:
+    maps, at_m = result.disparity, result.disparity_at
+    return find_focus(maps.disparity_px, maps.confidence, focus=named, disparity_at_m=at_m, valid=maps.valid)
 
 
 def _rendered(

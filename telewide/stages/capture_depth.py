@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +35,7 @@ from telewide.matching.matcher import Match
 from telewide.matching.window import Window, within_width
 from telewide.metrics import end_point_error_px, three_pixel_error
 from telewide.points.held_out import HeldOut, match_errors_px, summarise_errors
+from telewide.records import as_read
 from telewide.stages.beyond_frame import BeyondFrame, beyond_frame
 from telewide.stages.capture_bokeh import (
     CaptureBokeh,
@@ -53,8 +54,10 @@ from telewide.stages.kept_depth import (
     KEPT_NAME,
     OF_SET,
     PREVIEW_BOKEH_NAME,
+    BokehPart,
     DepthPart,
     KeptDepth,
+    former_bokeh,
     former_part,
     listed_files,
     lost_of_former,
@@ -350,7 +353,15 @@ def _put(
         unstripped, left = _unstripped(bokeh_files, bokeh, folder, asked=asked)
         notes = (*written.notes, *depth.notes, *(() if bokeh is None else bokeh.notes), *left)
         numbers = {**depth.numbers, **({} if bokeh is None else bokeh.numbers)}
-        made = KeptDepth(tuple(names), notes, numbers, withheld=depth.withheld, depth=part, unstripped=unstripped)
+        made = KeptDepth(
+            tuple(names),
+            notes,
+            numbers,
+            withheld=depth.withheld,
+            depth=part,
+            unstripped=unstripped,
+            bokeh=_bokeh_part(names, bokeh, former=folder, asked=key.get("bokeh")),
+        )
         if depth.lying is not None:  # the depth stays that of the set it was matched with
             key = {**key, OF_SET: depth.lying.of_set}
         write_kept(new, made, key=key, source=asked.source.tele_path)
@@ -390,6 +401,15 @@ def _write_bokeh(folder: Path, bokeh: CaptureBokeh | None, *, former: Path, take
         for name in files.names:
             write_picture(folder / name, files.pixels, facts=files.facts)
     return [*new, *taken]
+
+
+def _bokeh_part(names: Sequence[str], bokeh: CaptureBokeh | None, *, former: Path, asked: object) -> BokehPart | None:
+    """Facts to remember of the bokeh that will lie there: of the one that is made, or of the one that stays."""
+    if not set(BOKEH_NAMES).intersection(names):
+        return None
+    if bokeh is None or bokeh.files is None or bokeh.files.names == (PREVIEW_BOKEH_NAME,):
+        return former_bokeh(former)
+    return BokehPart(asked=as_read({"bokeh": asked})["bokeh"], notes=bokeh.notes, numbers=bokeh.numbers)
 
 
 def _unstripped(

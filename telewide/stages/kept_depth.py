@@ -53,6 +53,20 @@ class DepthPart(Record):
     numbers: dict[str, Figure] = Field(default_factory=dict)
 
 
+class BokehPart(Record):
+    """Of the results of one capture, what holds of the bokeh that lies there, whatever previews are made beside it.
+
+    Attributes:
+        asked: its options.
+        notes: what it is focused on.
+        numbers: of its focus.
+    """
+
+    asked: JsonValue = None
+    notes: tuple[Line, ...] = ()
+    numbers: dict[str, Figure] = Field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class KeptDepth:
     """Results of one capture.
@@ -66,6 +80,7 @@ class KeptDepth:
         is_whole: whether all the files are there as they were written.
         of_set: the captures that were matched together with this one, and what they gave, as the key holds it.
         unstripped: names of the bokeh files that say of the photo what its EXIF says.
+        bokeh: what of these is of the bokeh that lies there; None where none does.
     """
 
     files: tuple[str, ...]
@@ -76,6 +91,7 @@ class KeptDepth:
     is_whole: bool = True
     of_set: JsonValue = None
     unstripped: tuple[str, ...] = ()
+    bokeh: BokehPart | None = None
 
 
 class KeptRecord(Record):
@@ -92,6 +108,7 @@ class KeptRecord(Record):
         withheld: what is not among the files, and why.
         depth: what of these is of the depth alone.
         unstripped: names of the bokeh files that say of the photo what its EXIF says.
+        bokeh: what of these is of the bokeh that lies there.
     """
 
     format: int = 0
@@ -104,6 +121,17 @@ class KeptRecord(Record):
     withheld: Line | None = None
     depth: DepthPart = Field(default_factory=DepthPart)
     unstripped: tuple[str, ...] = ()
+    bokeh: BokehPart | None = None
+
+    @property
+    def shown_notes(self) -> tuple[str, ...]:
+        """Notes on the depth and the bokeh that lie there; of a preview only where it is alone."""
+        return self.notes if self.bokeh is None else (*self.depth.file_notes, *self.depth.notes, *self.bokeh.notes)
+
+    @property
+    def shown_numbers(self) -> dict[str, float]:
+        """Numbers likewise."""
+        return self.numbers if self.bokeh is None else {**self.depth.numbers, **self.bokeh.numbers}
 
 
 class SetFacts(Record):
@@ -235,7 +263,18 @@ def _as_kept(record: KeptRecord) -> KeptDepth:
         depth=record.depth,
         of_set=record.key.get(OF_SET),
         unstripped=record.unstripped,
+        bokeh=record.bokeh,
     )
+
+
+def former_bokeh(folder: Path) -> BokehPart | None:
+    """Read what a former call wrote of its bokeh in a folder; None where nothing tells.
+
+    Args:
+        folder: of one capture.
+    """
+    record = _record_in(folder)
+    return None if record is None else record.bokeh
 
 
 def read_lying(folder: Path) -> KeptRecord | None:
@@ -398,6 +437,7 @@ def write_kept(folder: Path, kept: KeptDepth, *, key: Mapping[str, object], sour
         withheld=kept.withheld,
         depth=kept.depth,
         unstripped=kept.unstripped,
+        bokeh=kept.bokeh,
     )
     write_record(folder / KEPT_NAME, record)
 

@@ -42,6 +42,20 @@ def names_lying(folder: Path) -> frozenset[str]:
     return frozenset(path.parent.name for path in folder.glob(f"*/{KEPT_NAME}"))
 
 
+def depth_of_call(capture: Capture, folder: Path, *, rotated_deg: int) -> LyingDepth:
+    """Read depth that a call has just made or kept.
+
+    Args:
+        capture: the photos as taken.
+        folder: of the results.
+        rotated_deg: how far the photos were turned counter-clockwise.
+    """
+    record = read_lying(folder / capture.name)
+    if record is None:  # somebody else has changed it since
+        return LyingDepth(capture, {}, rotated_deg, None)
+    return LyingDepth(capture, record.shown_numbers, rotated_deg, _bokeh_of(record))
+
+
 def lying_depths(folder: Path, names: Collection[str], *, pairs: Path, captures_root: Path) -> tuple[LyingDepth, ...]:
     """Read depth that is whole, and whose photos and pair are still those that it was made from.
 
@@ -66,7 +80,7 @@ def lying_depths(folder: Path, names: Collection[str], *, pairs: Path, captures_
             pair = None if capture is None else _pair_of(capture, record, pairs / name / RECORD_NAME)
             if captures is not None and capture is not None and pair is not None:
                 turned_deg = captures.facts.rotated_deg if pair.key.get("rig") is None else 0
-                found.append(LyingDepth(capture, record.numbers, turned_deg, _bokeh_of(record)))
+                found.append(LyingDepth(capture, record.shown_numbers, turned_deg, _bokeh_of(record)))
                 break
     return tuple(found)
 
@@ -91,7 +105,7 @@ def _pair_of(capture: Capture, record: KeptRecord, path: Path) -> PairRecord | N
 
 def _bokeh_of(record: KeptRecord) -> BokehOptions | None:
     try:
-        asked = checked(record.key.get("bokeh"), BokehOptions)
+        asked = checked(record.key.get("bokeh") if record.bokeh is None else record.bokeh.asked, BokehOptions)
     except (TelewideError, ValueError):
         return None
     return None if asked.is_preview else asked

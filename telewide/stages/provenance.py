@@ -67,7 +67,7 @@ def notes_of(name: str, *, depth: Path, pair: Path) -> tuple[str, ...]:
         doubts = read_record(pair / RECORD_NAME, PairRecord).report.reasons
     except TelewideError:  # not there, or corrupt: it is made again
         doubts = ()
-    notes = () if record is None else record.notes
+    notes = () if record is None else record.shown_notes
     return tuple(dict.fromkeys(note.removeprefix(f"{name}: ") for note in (*doubts, *notes)))
 
 

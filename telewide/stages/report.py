@@ -23,7 +23,7 @@ from telewide.pages.run_page import (
 )
 from telewide.stages.call import Call
 from telewide.stages.depth import DepthRun
-from telewide.stages.lying_depth import LyingDepth, lying_depths, names_lying
+from telewide.stages.lying_depth import LyingDepth, depth_of_call, lying_depths, names_lying
 from telewide.stages.provenance import facts_of_call, made_by, notes_of
 from telewide.stages.training_result import read_result
 from telewide.text import Invocation
@@ -38,7 +38,7 @@ def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> 
     Args:
         call: whose run folder the page lies in.
         done: the depths to show.
-        bokeh: that was asked for, which the page opens with; None where none was.
+        bokeh: that was asked for; previews of depth that lay there leave the page as it is.
 
     Returns:
         The same depths, with the page's path where this process wrote it.
@@ -68,7 +68,7 @@ def _written(
     names = sorted([*(outcome.name for outcome in done.outcomes), *(other.capture.name for other in others)])
     page = write_run_page(
         root,
-        _rows(call, done, others, root=root, bokeh=bokeh),
+        _rows(call, done, others, root=root),
         names=names,
         log=call.folder.training_log,
         summary=summary,
@@ -132,13 +132,11 @@ def _calls_on_one(call: Call, names: Sequence[str]) -> dict[str, Invocation]:
     return calls
 
 
-def _rows(
-    call: Call, done: DepthRun, others: Sequence[LyingDepth], *, root: Path, bokeh: BokehOptions | None
-) -> Iterator[ReportRow]:
+def _rows(call: Call, done: DepthRun, others: Sequence[LyingDepth], *, root: Path) -> Iterator[ReportRow]:
     """Make the lines of a page one by one, by name: those of a call, and of depth that lies there."""
     captures = {capture.name: capture for capture in call.captures.captures}
     rotated_deg = 0 if call.rig is not None else call.captures.facts.rotated_deg  # a rig's photos are not turned
-    made = [LyingDepth(captures[one.name], {**one.numbers}, rotated_deg, bokeh) for one in done.outcomes]
+    made = [depth_of_call(captures[one.name], done.folder, rotated_deg=rotated_deg) for one in done.outcomes]
     for shown in sorted((*made, *others), key=lambda one: one.capture.name):
         name = shown.capture.name
         row = report_row(

@@ -140,7 +140,9 @@ def test_unreadable_focus_is_a_usage_error(scene_px: np.ndarray, focus: str) -> 
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
 
 
-@pytest.mark.parametrize(("focus", "meant"), [("1.8", "1.8m"), (" 2 ", "2m"), ("1.8mm", None)])
+@pytest.mark.parametrize(
+    ("focus", "meant"), [("1.8", "1.8m"), (" 2 ", "2m"), ("80", "80cm, or 80m"), ("1,8m", "1.8m"), ("1.8mm", None)]
+)
 def test_a_bare_number_is_asked_for_its_unit(scene_px: np.ndarray, focus: str, meant: str | None) -> None:
     with pytest.raises(UsageError, match="X,Y") as refusal:
         found_px(scene_px, np.ones_like(scene_px), focus=focus)
@@ -261,6 +263,20 @@ def test_the_place_lies_on_the_plane_of_focus(scene_px: np.ndarray) -> None:
         assert scene_px[focus.y_px, focus.x_px] == pytest.approx(focus.disparity_px, abs=0.5)
     point = find_focus(scene_px, confidence, focus="150,100")
     assert (point.x_px, point.y_px) == (150, 100)
+
+
+def test_surfaces_and_distances_are_looked_for_where_something_was_measured(scene_px: np.ndarray) -> None:
+    """Filled-in pixels that are nearer than all others, and as far away as is asked for, are passed by."""
+    filled_px, valid = scene_px.copy(), np.ones(scene_px.shape, bool)
+    filled_px[:5], valid[:5] = scene_px.max() + 20, False
+    confidence = np.ones_like(scene_px)
+    measured = find_focus(scene_px, confidence, focus="near")
+    passed = find_focus(filled_px, confidence, focus="near", valid=valid)
+    assert passed.disparity_px == pytest.approx(measured.disparity_px, abs=0.1)
+    placed = find_focus(filled_px, confidence, focus="1m", disparity_at_m=lambda _: 99.0, valid=valid)
+    assert valid[passed.y_px, passed.x_px]
+    assert valid[placed.y_px, placed.x_px]
+    assert find_focus(filled_px, confidence, focus="near", valid=np.zeros_like(valid)).y_px < 5
 
 
 def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() -> None:

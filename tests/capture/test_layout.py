@@ -223,6 +223,14 @@ def test_both_views_the_same_file(tmp_path: Path, link: str) -> None:
     assert "are the same picture" in the_problem(tmp_path)
 
 
+def test_two_empty_files_are_not_the_same_picture(tmp_path: Path) -> None:
+    """Whoever reads them says that they are empty."""
+    fill(tmp_path, ["bad/tele.jpg", "bad/wide.jpg"])
+    for name in ("tele", "wide"):
+        (tmp_path / "bad" / f"{name}.jpg").write_bytes(b"")
+    assert [capture.name for capture in find_captures(tmp_path).captures] == ["bad"]
+
+
 def test_a_link_to_nowhere_is_a_missing_view(tmp_path: Path) -> None:
     fill(tmp_path, ["bad/tele.jpg"])
     (tmp_path / "bad" / "wide.jpg").symlink_to(tmp_path / "gone.jpg")

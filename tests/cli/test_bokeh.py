@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import pytest
+import typer
 
 from telewide.bokeh.aperture import DISK, Aperture
 from telewide.bokeh.picture import BokehOptions
+from telewide.cli.app import app
 from telewide.cli.bokeh import BokehWords
 from telewide.cli.depth import depth_options
 from telewide.errors import UsageError
 from telewide.stages.depth import DepthOptions
+
+
+def parsed(*words: str) -> dict[str, object]:
+    """Parameters of `telewide depth` as its parser reads them."""
+    command = typer.main.get_command(app).commands["depth"]
+    return command.make_context("depth", ["captures", *words]).params
 
 
 def test_no_words_are_the_defaults() -> None:
@@ -74,6 +82,16 @@ def test_words_without_a_picture_are_refused(words: dict[str, object]) -> None:
     with pytest.raises(UsageError, match="bokeh picture") as refusal:
         BokehWords(**words).options_if(is_asked=False)
     assert "--bokeh" in (refusal.value.hint or "")
+
+
+@pytest.mark.parametrize(("text", "number"), [("1.8", 1.8), ("f/1.8", 1.8), ("F/2", 2.0)])
+def test_an_f_number_is_written_as_on_a_lens_or_alone(text: str, number: float) -> None:
+    assert parsed("--f-number", text)["f_number"] == number
+
+
+def test_an_f_number_with_a_comma_is_answered_with_an_example() -> None:
+    with pytest.raises(typer.BadParameter, match=r"1\.8 was expected"):
+        parsed("--f-number", "1,8")
 
 
 def test_stripping_needs_a_file_that_says_something() -> None:

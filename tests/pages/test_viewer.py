@@ -274,6 +274,17 @@ def test_comparing_shows_two_pictures_that_meet_where_the_slider_stands(opened: 
     assert sources[0] != sources[1]
 
 
+def test_arrow_keys_are_those_of_the_view_that_was_chosen(opened: Any) -> None:
+    opened.click("#views button[value=compare]")
+    opened.keyboard.press("ArrowRight")
+    assert opened.locator("#divider").input_value() == "50.5"
+    opened.click("#views button[value=focus]")
+    before = opened.inner_text("#readout")
+    with drawn_anew(opened):
+        opened.keyboard.press("ArrowRight")
+    assert opened.inner_text("#readout") != before
+
+
 @pytest.mark.parametrize("view", ["tele", "disparity"])
 def test_dragging_anywhere_on_the_picture_moves_the_line_and_selects_nothing(opened: Any, view: str) -> None:
     """At the top of the picture, far from the slider's handle; let go, it stays; the keys go on from there."""

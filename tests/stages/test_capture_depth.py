@@ -34,6 +34,7 @@ from telewide.matching.window import Window
 from telewide.points.held_out import HeldOut
 from telewide.srgb import linear_from_srgb
 from telewide.stages.capture_depth import DepthFailure, DepthOutcome, depth_of_capture
+from telewide.stages.kept_depth import read_lying
 from telewide.stages.photo_depth import ShotGeometry, on_photo
 
 HW = (60, 80)
@@ -642,11 +643,20 @@ def test_files_of_a_kept_depth_are_those_of_one_just_matched(capture: Capture, t
     assert later.numbers["focus_m"] == 0.6, "what is sharp, wherever the surface next to it is"
 
 
+def shown_of(folder: Path) -> tuple[object, ...]:
+    record = read_lying(folder)
+    return record.shown_notes, record.shown_numbers, record.bokeh.asked
+
+
 def test_a_preview_stands_beside_the_picture_until_that_is_made_again(capture: Capture, tmp_path: Path) -> None:
     folder, match = tmp_path / "run", Matching()
     made_again(capture, folder, match, bokeh=BokehOptions(strength_px=3.0))
-    whole = (folder / "bokeh.jpg").read_bytes()
+    whole, shown = (folder / "bokeh.jpg").read_bytes(), shown_of(folder)
     tried = made_again(capture, folder, match, bokeh=BokehOptions(focus="near", is_preview=True))
+    assert shown_of(folder) == shown, "the page shows the picture, and what it is focused on"
+    assert not set(tried.notes) <= set(shown[0]), "the terminal tells of the preview"
+    made_again(capture, folder, match, bokeh=None)
+    assert shown_of(folder) == shown
     assert {folder / "bokeh.jpg", folder / "bokeh_preview.jpg"} <= set(tried.paths)
     assert (folder / "bokeh.jpg").read_bytes() == whole
     with Image.open(folder / "bokeh_preview.jpg") as picture:

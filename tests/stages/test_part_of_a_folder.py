@@ -215,13 +215,13 @@ def test_weights_are_named_by_their_place_and_their_fingerprint(folder: Path, we
 
 
 def test_depth_of_former_calls_is_shown_as_it_was_asked_for(folder: Path, said: Said) -> None:
-    """The photos have been moved, with all of their folder, since the depth was made."""
+    """The photos have been moved, with all of their folder, since the depth was made; a preview is no picture."""
     run = folder / "run"
     said("captures", "--only", "001", "--bokeh", "--preview")
     (run / "depth" / "002" / "preview.png").unlink()
     found = lying_depths(
         run / "depth", names_lying(run / "depth"), pairs=run / "pairs", captures_root=folder / "captures"
     )
-    assert [(one.capture.name, one.bokeh) for one in found] == [("000", BokehOptions()), ("001", None)]
+    assert [(one.capture.name, one.bokeh) for one in found] == [("000", BokehOptions()), ("001", BokehOptions())]
     assert found[0].capture.tele_path == folder / "captures" / "000" / "tele.png"
     assert {"match_s", "focus_px"} <= found[0].numbers.keys()

@@ -16,7 +16,8 @@ from telewide.files import replacing
 from telewide.srgb import linear_from_srgb
 
 EXR_NAME = "depth.exr"
-MEANING = "Z: m along the optical axis, +inf unknown; disparity: px"
+MEANING = "disparity: px"
+MEANING_OF_Z = "Z: m along the optical axis, +inf unknown"
 
 
 def write_exr(folder: Path, contents: Contents) -> WrittenDepth:
@@ -33,9 +34,10 @@ def write_exr(folder: Path, contents: Contents) -> WrittenDepth:
     if result.depth_m is not None:
         channels["Z"] = np.where(np.isfinite(result.depth_m), result.depth_m, np.inf).astype(np.float32)
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    header |= {"software": "telewide", "comments": MEANING}
+    meaning = MEANING if result.depth_m is None else f"{MEANING_OF_Z}; {MEANING}"
+    header |= {"software": "telewide", "comments": meaning}
     if contents.facts is not None:
-        header |= replace(contents.facts, done=MEANING).exr_attributes()
+        header |= replace(contents.facts, done=meaning).exr_attributes()
     if result.K is not None:
         header["cameraIntrinsicsPx"] = result.K.astype(np.float32)
     if result.baseline_m is not None:

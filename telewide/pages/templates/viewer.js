@@ -442,6 +442,7 @@ pair.addEventListener("pointerdown", (event) => {
   wipe(event);
   readUnder(event);
 });
+pair.addEventListener("mousedown", (event) => event.preventDefault()); // it would take the focus from the slider
 pair.addEventListener("pointermove", (event) => {
   if (pair.hasPointerCapture(event.pointerId)) wipe(event);
   readUnder(event);
@@ -456,7 +457,11 @@ function show(view) {
     each.setAttribute("aria-pressed", String(each.value === view));
   redraw();
 }
-for (const each of document.querySelectorAll("#views button")) each.addEventListener("click", () => show(each.value));
+function showAndHold(view) { // the arrow keys are those of what is shown
+  show(view);
+  (view === "compare" ? byId("divider") : canvas).focus({ preventScroll: true });
+}
+for (const each of document.querySelectorAll("#views button")) each.addEventListener("click", () => showAndHold(each.value));
 for (const [k, each] of document.querySelectorAll("#strip button").entries()) each.addEventListener("click", () => open(k));
 
 for (const each of links) each.addEventListener("click", () => {

@@ -150,3 +150,4 @@ def test_exr_without_metres_has_no_z(tmp_path: Path) -> None:
     assert "has no Z" in write_depth(tmp_path, made_result(has_metres=False), formats=("exr",)).notes[0]
     with OpenEXR.File(str(tmp_path / "depth.exr")) as file:
         assert set(file.channels()) == {"disparity", "confidence"}
+        assert file.header()["comments"] == "disparity: px"
