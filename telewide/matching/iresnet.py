@@ -5,7 +5,8 @@ authors' code, whose names the layers have where those are more than Caffe's num
 parameters), `iresnet-s` at an eighth of them, as large as `psmnet-s`. Weights of the authors are for Caffe, so none are
 read. Apart from their code: disparities are ``x_ref - x_src``; the last layer of Phi_F, which they have twice, serves
 both views; a window that the correlation does not reach is searched around its middle; refined outputs are kept within
-the window; and a volume is made of the result, from which confidence and the left-right check are read.
+the window; a volume is made of the result, from which confidence and the left-right check are read; and layers may tell
+disparities in units of several px, which a short training needs: a step moves every weight by as much.
 Letters: B batch, C channels, D planes, H W grid at hand.
 """
 
@@ -91,8 +92,9 @@ class _Up(nn.Module):
 class _Refinement(nn.Module):
     """A residual to a disparity from how well it rebuilds ref's features; its weights serve every iteration."""
 
-    def __init__(self, full: int, divisor: int) -> None:
+    def __init__(self, full: int, divisor: int, *, unit_px: float) -> None:
         super().__init__()
+        self.unit_px = unit_px
         c0, c1, c2 = (_width(n, divisor) for n in (32, 64, 128))
         self.zoom_conv0 = _conv(2 * full + 1, c0)
         self.zoom_conv1 = _conv(c0, c1, stride=2)
@@ -106,17 +108,18 @@ class _Refinement(nn.Module):
         self.zoom_fused0, self.zoom_predict0 = _conv(2 * c0 + 1, c0), _conv(c0, 1)
 
     def forward(self, ref: Tensor, src: Tensor, disparity: Tensor, correlation: Tensor) -> Tensor:
-        """All (B, C, H, W) at full size but the correlation, at half."""
+        """All (B, C, H, W) at full size but the correlation, at half; disparity and residual in px."""
         error = (warp_to_ref(src, disparity[:, 0]).to(ref.dtype) - ref).abs()
-        full = _leaky(self.zoom_conv0(torch.cat((ref, disparity.to(ref.dtype), error), dim=1)))
+        told = (disparity / self.unit_px).to(ref.dtype)
+        full = _leaky(self.zoom_conv0(torch.cat((ref, told, error), dim=1)))
         half = torch.cat((correlation, _leaky(self.zoom_conv1(full))), dim=1)
         half = _leaky(self.zoom_conv1b(half))
         quarter = _leaky(self.zoom_conv2b(_leaky(self.zoom_conv2(half))))
         risen = _leaky(self.zoom_deconv2(quarter)), self.zoom_upsample2(self.zoom_predict2(quarter))
         half = self.zoom_fused1(torch.cat((half, *(_crop_like(x, half) for x in risen)), dim=1))
         risen = _leaky(self.zoom_deconv1(half)), self.zoom_upsample1(self.zoom_predict1(half))
-        residual: Tensor = self.zoom_predict0(self.zoom_fused0(torch.cat((full, *risen), dim=1)))
-        return residual
+        residual: Tensor = at_least_float32(self.zoom_predict0(self.zoom_fused0(torch.cat((full, *risen), dim=1))))
+        return self.unit_px * residual
 
 
 class IresnetMatching(nn.Module):
@@ -124,10 +127,12 @@ class IresnetMatching(nn.Module):
 
     Args:
         divisor: of the published widths.
+        unit_px: of the disparities that layers compute; published: 1.
     """
 
-    def __init__(self, *, divisor: int = 1) -> None:
+    def __init__(self, *, divisor: int = 1, unit_px: float = 1.0) -> None:
         super().__init__()
+        self.unit_px = unit_px
         half, quarter, full, c3, c4, c6 = (_width(n, divisor) for n in (64, 128, 32, 256, 512, 1024))
         self.conv_redir = nn.Conv2d(quarter, _width(64, divisor), 1)
         self.conv3 = _conv(2 * REACH + 1 + _width(64, divisor), c3, kernel=5, stride=2)
@@ -142,7 +147,7 @@ class IresnetMatching(nn.Module):
             _Up(deep, skip, wide) for deep, skip, wide in zip((c6, *widths), skips, widths, strict=False)
         )
         self.conv1_mini = _conv(half, _width(16, divisor))
-        self.refinement = _Refinement(full, divisor)
+        self.refinement = _Refinement(full, divisor, unit_px=unit_px)
 
     def forward(
         self, ref: tuple[Tensor, Tensor, Tensor], src: tuple[Tensor, Tensor, Tensor], window: Window
@@ -153,13 +158,13 @@ class IresnetMatching(nn.Module):
             _moved(m, centre_px // cell_px) for m, cell_px in zip(src, (CELL_PX, MINI_CELL_PX, 1), strict=True)
         )
         correlation = correlate_rows(ref[0], seen_quarter, reach=REACH)
-        disparity = at_least_float32(self._estimate(ref, correlation))
+        disparity = self.unit_px * at_least_float32(self._estimate(ref, correlation))
         results = [disparity]
         minis = (_leaky(self.conv1_mini(m)) for m in (ref[1], seen_half))
         mini = correlate_rows(*minis, reach=MINI_REACH)
         for _ in range(REFINEMENTS):
             residual = self.refinement(ref[2], seen_full, disparity, mini)
-            disparity = _kept_within(disparity + at_least_float32(residual), window, centre_px)
+            disparity = _kept_within(disparity + residual, window, centre_px)
             results.append(disparity)
         results = [result[:, 0] + centre_px for result in results]
         return results, _volume_around(results[-1], ref[0], src[0], window)

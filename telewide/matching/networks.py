@@ -44,6 +44,8 @@ IRESNET_CONTEXT_PX = 512
 """Of both: seven levels of convolutions, the deepest of them over cells of 64 px, and their correlation."""
 COMPACT_DIVISOR = 8
 """Widths of iresnet over those of iresnet-s, which is then as large as psmnet-s."""
+COMPACT_UNIT_PX = 20.0
+"""Of the disparities that layers of iresnet-s compute."""
 LITE_CONTEXT_PX = 128
 """Trained on phones' photos: at this overlap no pixel differs by 0.01 px from the whole image, at 64 px one in 700."""
 
@@ -178,8 +180,8 @@ def _build_psmnet() -> StereoNetwork:
     return network
 
 
-def _build_iresnet(divisor: int) -> StereoNetwork:
-    parts = IresnetFeatures(divisor=divisor), IresnetMatching(divisor=divisor)
+def _build_iresnet(divisor: int, *, unit_px: float = 1.0) -> StereoNetwork:
+    parts = IresnetFeatures(divisor=divisor), IresnetMatching(divisor=divisor, unit_px=unit_px)
     network = StereoNetwork(*parts, context_px=IRESNET_CONTEXT_PX)
     initialise_iresnet(network)
     return network
@@ -203,7 +205,7 @@ def published_psmnet(path: Path) -> StereoNetwork:
 NETWORKS: dict[str, Callable[[], StereoNetwork]] = {
     "guided": lambda: StereoNetwork(GuidedFeatures(), GuidedMatching()),
     "iresnet": lambda: _build_iresnet(1),
-    "iresnet-s": lambda: _build_iresnet(COMPACT_DIVISOR),
+    "iresnet-s": lambda: _build_iresnet(COMPACT_DIVISOR, unit_px=COMPACT_UNIT_PX),
     "lite": _build_lite,
     "psmnet": _build_psmnet,
     "psmnet-s": _build_psmnet_s,

@@ -124,7 +124,9 @@ def plain_features(w: Weights, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return quarter, half, leaky(conv(w, "up_conv1a2a", joined))
 
 
-def plain_matching(w: Weights, a: tuple[Tensor, ...], b: tuple[Tensor, ...], *, limits: tuple[int, int]) -> Tensor:
+def plain_matching(
+    w: Weights, a: tuple[Tensor, ...], b: tuple[Tensor, ...], *, limits: tuple[int, int], unit_px: float
+) -> Tensor:
     x = torch.cat((rows(a[0], b[0], 40), leaky(conv(w, "conv_redir", a[0]))), 1)
     levels = []
     for level in (3, 4, 5, 6):
@@ -138,14 +140,18 @@ def plain_matching(w: Weights, a: tuple[Tensor, ...], b: tuple[Tensor, ...], *, 
         flow = conv(w, f"{name}.predict_flow", x)
     correlation = rows(leaky(conv(w, "conv1_mini", a[1])), leaky(conv(w, "conv1_mini", b[1])), 20)
     w = {name.removeprefix("refinement."): value for name, value in w.items()}
+    low, high = (limit / unit_px for limit in limits)
     for _ in range(2):
-        flow = (flow + plain_residual(w, a[2], b[2], flow, correlation)).clamp(*limits)
-    return flow[:, 0]
+        flow = (flow + plain_residual(w, (a[2], b[2]), flow, correlation, unit_px=unit_px)).clamp(low, high)
+    return unit_px * flow[:, 0]
 
 
-def plain_residual(w: Weights, a: Tensor, b: Tensor, flow: Tensor, correlation: Tensor) -> Tensor:
+def plain_residual(
+    w: Weights, views: tuple[Tensor, Tensor], flow: Tensor, correlation: Tensor, *, unit_px: float
+) -> Tensor:
+    a, b = views
     height, width = a.shape[2:]
-    x = torch.arange(width, dtype=a.dtype) - flow[:, 0]
+    x = torch.arange(width, dtype=a.dtype) - unit_px * flow[:, 0]
     y = torch.arange(height, dtype=a.dtype)[:, None].expand_as(x)
     grid = torch.stack(((2 * x + 1) / width - 1, (2 * y + 1) / height - 1), -1)
     error = (functional.grid_sample(b, grid, align_corners=False) - a).abs()
@@ -160,18 +166,18 @@ def plain_residual(w: Weights, a: Tensor, b: Tensor, flow: Tensor, correlation: 
     return conv(w, "zoom_predict0", quarter)
 
 
-@pytest.mark.parametrize("divisor", [8, 1])
-def test_outputs_are_those_of_its_layers(divisor: int) -> None:
-    network = StereoNetwork(IresnetFeatures(divisor=divisor), IresnetMatching(divisor=divisor))
+@pytest.mark.parametrize(("divisor", "unit_px"), [(8, 1.0), (8, 20.0), (1, 1.0)])
+def test_outputs_are_those_of_its_layers(divisor: int, unit_px: float) -> None:
+    network = StereoNetwork(IresnetFeatures(divisor=divisor), IresnetMatching(divisor=divisor, unit_px=unit_px))
     stir(network)
     ref, src = torch.randn(2, 1, 3, 48, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     with torch.no_grad():
         output = network(ref, src, (-32, 32))
         a, b = (plain_features(network.features.state_dict(), x) for x in (ref, src))
-        expected = plain_matching(network.matching.state_dict(), a, b, limits=(-32, 31))
+        expected = plain_matching(network.matching.state_dict(), a, b, limits=(-32, 31), unit_px=unit_px)
     assert expected.std() > 0.5
     # The grid of a warp is float32 by rule: 1e-7 of the width.
-    assert (output.disparity_px - expected).abs().max() < 1e-5
+    assert (output.disparity_px - expected).abs().max() < 1e-5 * unit_px
     torch.testing.assert_close(comparable_map(network.features, ref), a[2], atol=1e-9, rtol=0)
 
 
