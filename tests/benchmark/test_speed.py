@@ -67,6 +67,7 @@ def test_wrong_options_are_refused(options: SpeedOptions) -> None:
         measure_speed(options, tell=lambda _: None)
 
 
+@pytest.mark.slow
 def test_a_matcher_may_be_called_as_the_option_method_calls_it() -> None:
     once = dataclasses.replace(TINY, matchers=("network", "sgm", read_card(BOX_WEIGHTS).network))
     names = [row["matcher"] for row in measure_speed(once, tell=lambda _: None).rows]

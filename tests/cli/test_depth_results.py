@@ -80,7 +80,7 @@ def test_a_known_distance_gives_an_aperture_to_a_rig_of_unknown_scale(tmp_path: 
     assert (tmp_path / "run" / "depth" / "one" / "bokeh.jpg").is_file()
 
 
-@pytest.mark.parametrize("orientation", [3, 6, 8])
+@pytest.mark.parametrize("orientation", [*(pytest.param(held, marks=pytest.mark.slow) for held in (3, 8)), 6])
 def test_a_distance_counts_on_the_photo_that_exif_turns(
     tmp_path: Path, rng: np.random.Generator, orientation: int
 ) -> None:

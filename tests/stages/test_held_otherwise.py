@@ -48,7 +48,7 @@ def depth_by_command(captures: Path, run: Path, rig: StoredRig) -> int:
     return int(left.value.code or 0)
 
 
-@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+@pytest.mark.parametrize("orientation", [*(pytest.param(held, marks=pytest.mark.slow) for held in (1, 3, 8)), 6])
 def test_metres_do_not_depend_on_how_the_phone_was_held(
     photos: tuple[FloatMap, FloatMap], tmp_path: Path, orientation: int
 ) -> None:

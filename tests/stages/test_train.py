@@ -196,6 +196,7 @@ def test_crops_are_no_larger_than_the_part_of_the_pictures_that_training_sees(
     assert begun[0].source.crop_hw == (128, 144)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("network", "enlargement"), [("lite", 1.0), ("guided", 1.5)])
 def test_small_pictures_are_trained_on_at_the_size_at_which_they_are_matched(
     network: str, enlargement: float, captures: Path, tmp_path: Path, recipe_path: Path, begun: list[Training]
@@ -451,6 +452,7 @@ def test_depth_takes_the_newest_checkpoint_while_training_goes_on(
     assert disturbed.losses == alone.losses
 
 
+@pytest.mark.slow
 def test_depth_says_that_its_weights_will_be_better(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     """Of a training stopped by hand, until it is finished, where depth is made by them; never of a copied file."""
     run, recipe = tmp_path / "run", tiny(path=recipe_path)
@@ -572,6 +574,7 @@ def test_a_full_disk_stops_with_the_last_checkpoint_kept(
     assert run_training(captures, run, recipe).is_new
 
 
+@pytest.mark.slow
 def test_replaced_photos_are_trained_on(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     """Another picture under the name of one that was seen: the last stage is taken again, its judge asked anew."""
     run, recipe = tmp_path / "run", tiny(path=recipe_path)

@@ -98,6 +98,7 @@ def test_rows_share_the_stages_they_begin_with(data: Path, out: Path, tmp_path: 
     assert stages_in(tmp_path)["photometric"] == 2
 
 
+@pytest.mark.slow
 def test_rows_of_other_spaces_share_what_comes_before_them(data: Path, tmp_path: Path) -> None:
     task = task_of(data, steps=8)
     for row in (small_row("train.stages=1"), small_row(*of_space("contrastive")), small_row(*of_space("auto-encoder"))):
@@ -170,6 +171,7 @@ def test_supervised_rows_are_taught_the_truth(data: Path, out: Path) -> None:
     np.testing.assert_array_equal(read_pfm(path), scenes_of(data, "training")[0].read().disparity_px)
 
 
+@pytest.mark.slow
 def test_weights_of_a_restorer_are_taken_where_they_fit(data: Path, tmp_path: Path) -> None:
     from safetensors.torch import save_file
 
