@@ -35,6 +35,8 @@ DECISIVE = 0.65
 """Share of the way from the rear to the front colour from which a pixel is of the front surface."""
 BROAD_PX = 5
 """A square of this width finds no room in a thin thing."""
+STRIP_ROWS = 64
+"""Rows told at a time: bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -67,37 +69,42 @@ def with_fringes(disparity_px: FloatMap, guide_rgb: FloatMap, *, jump_px: float,
     Returns:
         (H, W) float32; nothing is farther than it was, and every value is one of the map.
     """
-    square = np.ones((3, 3), np.uint8)
-    near_px, far_px = cv2.dilate(disparity_px, square), cv2.erode(disparity_px, square)
-    is_edge = near_px - far_px > jump_px
-    if not is_edge.any():
-        return disparity_px
-    distance_px, edge = nearest_known(is_edge)
-    is_beside = distance_px <= scale * REACH_PX
-    is_front = disparity_px > ((near_px + far_px) / 2).ravel()[edge]
+    is_beside, is_front = _sides(disparity_px, jump_px=jump_px, reach_px=scale * REACH_PX)
     front, rear = is_front & ~is_beside, ~is_front & ~is_beside
     if not (front.any() and rear.any()):
         return disparity_px
-    y, x = np.nonzero(is_beside & ~is_front)
-    looks_front = is_front.copy()
-    looks_front[y, x] = _looks_front(guide_rgb, front, rear, at=(y, x), step=scale * SAMPLE_PX)
+    looks_front = _looks_front(guide_rgb, front, rear, where=is_beside & ~is_front, step=scale * SAMPLE_PX)
+    looks_front |= is_front
     width = scale * (BROAD_PX - 1) + 1
     is_thin = cv2.morphologyEx(looks_front.astype(np.uint8), cv2.MORPH_OPEN, np.ones((width, width), np.uint8)) == 0
     is_fringe = ~is_front & _holding(is_front | (looks_front & is_thin), is_front)
     # Not of the nearest pixel of the front: beside an edge a network's map may still lean to the rear.
+    of_front = nearest_known(front)[1][is_fringe]
     fringed_px = disparity_px.copy()
-    fringed_px[is_fringe] = disparity_px.ravel()[nearest_known(front)[1][is_fringe]]
-    return np.maximum(fringed_px, disparity_px)
+    fringed_px[is_fringe] = np.maximum(disparity_px[is_fringe], disparity_px.ravel()[of_front])
+    return fringed_px
 
 
-def _looks_front(
-    guide_rgb: FloatMap, front: BoolMap, rear: BoolMap, *, at: tuple[IntArray, IntArray], step: int
-) -> BoolMap:
-    """Whether the N pixels at rows and columns look like the front surface (N,), as cells of `step` px show it."""
-    width = -(-guide_rgb.shape[1] // step)
-    cell, cell_of_N = np.unique(at[0] // step * width + at[1] // step, return_inverse=True)
+def _sides(disparity_px: FloatMap, *, jump_px: float, reach_px: float) -> tuple[BoolMap, BoolMap]:
+    """Pixels beside an edge, and those nearer than the middle of their nearest edge; none where there is no edge."""
+    square = np.ones((3, 3), np.uint8)
+    near_px, far_px = cv2.dilate(disparity_px, square), cv2.erode(disparity_px, square)
+    is_edge = np.asarray(near_px - far_px > jump_px)
+    if not is_edge.any():
+        return is_edge, is_edge
+    middle_px = cv2.addWeighted(near_px, 0.5, far_px, 0.5, 0)
+    del near_px, far_px  # in the next line lies the peak of a large photo's memory
+    distance_px, edge = nearest_known(is_edge)
+    return distance_px <= reach_px, np.asarray(disparity_px > middle_px.ravel()[edge])
+
+
+def _looks_front(guide_rgb: FloatMap, front: BoolMap, rear: BoolMap, *, where: BoolMap, step: int) -> BoolMap:
+    """(H, W): which of some pixels look like the front surface, as cells of `step` px show it around them."""
+    is_asked = cv2.dilate(where.astype(np.uint8), np.ones((step, step), np.uint8), anchor=(0, 0))[::step, ::step] > 0
+    number = np.cumsum(is_asked, dtype=np.int32).reshape(is_asked.shape) - 1
+    cells = np.nonzero(is_asked)
     of_front, of_rear = (
-        _colours_around(guide_rgb, surface, cells=(cell // width, cell % width), step=step) for surface in (front, rear)
+        _colours_around(guide_rgb, surface, cells=(cells[0], cells[1]), step=step) for surface in (front, rear)
     )
     across = of_front.mean - of_rear.mean
     noise = np.float32(NOISE**2) * np.eye(3, dtype=np.float32)
@@ -105,14 +112,17 @@ def _looks_front(
     normal = np.einsum("nij,nj->ni", precision, across)
     separation = (normal * across).sum(axis=1)
     tells = (separation > LEAST_SEPARATION) & (np.minimum(of_front.share, of_rear.share) > LEAST_SHARE)
-    some_N = np.flatnonzero(tells[cell_of_N])
-    cell_of_N = cell_of_N[some_N]
-    own_N3 = guide_rgb[at[0][some_N], at[1][some_N]] - of_rear.mean[cell_of_N]
-    share_N = np.clip((own_N3 * normal[cell_of_N]).sum(axis=1) / separation[cell_of_N], 0, 1)
-    off_N3 = own_N3 - share_N[:, None] * across[cell_of_N]
-    misfit_N = np.einsum("ni,nij,nj->n", off_N3, precision[cell_of_N], off_N3)
-    looks_front = np.zeros(len(at[0]), np.bool_)
-    looks_front[some_N] = (share_N > DECISIVE) & (misfit_N < LARGEST_MISFIT)
+    looks_front = np.zeros(where.shape, np.bool_)
+    for top in range(0, len(where), STRIP_ROWS):
+        y, x = np.nonzero(where[top : top + STRIP_ROWS])
+        y += top
+        cell = number[y // step, x // step]
+        y, x, cell = (each[tells[cell]] for each in (y, x, cell))
+        own_N3 = guide_rgb[y, x] - of_rear.mean[cell]
+        share_N = np.clip((own_N3 * normal[cell]).sum(axis=1) / separation[cell], 0, 1)
+        off_N3 = own_N3 - share_N[:, None] * across[cell]
+        misfit_N = np.einsum("ni,nij,nj->n", off_N3, precision[cell], off_N3)
+        looks_front[y, x] = (share_N > DECISIVE) & (misfit_N < LARGEST_MISFIT)
     return looks_front
 
 

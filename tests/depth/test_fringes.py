@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -110,3 +112,15 @@ def test_nothing_goes_back_and_no_value_is_new(rng: np.random.Generator) -> None
     found_px = with_fringes(map_px, scene, jump_px=1.0)
     assert (found_px >= map_px).all()
     assert set(np.unique(found_px)) <= set(np.unique(map_px))
+
+
+def test_memory_goes_by_pixels_however_many_lie_beside_an_edge(rng: np.random.Generator) -> None:
+    """30 bytes a pixel: a large photo's pair of maps, not a matrix for each pixel that is told by its colour."""
+    stripes_px = np.where(np.arange(1200) // 60 % 2, np.float32(10), np.float32(0)) * np.ones((900, 1), np.float32)
+    colours = np.where(stripes_px[..., None] > 0, np.float32(0.2), np.float32(0.7))
+    colours = colours + rng.normal(0, 0.02, colours.shape[:2] + (3,)).astype(np.float32)
+    tracemalloc.start()
+    with_fringes(stripes_px, colours, jump_px=1.0, scale=2)
+    most_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most_bytes < 30 * stripes_px.size
