@@ -118,7 +118,7 @@ def test_memory_goes_by_pixels_however_many_lie_beside_an_edge(rng: np.random.Ge
     """30 bytes a pixel: a large photo's pair of maps, not a matrix for each pixel that is told by its colour."""
     stripes_px = np.where(np.arange(1200) // 60 % 2, np.float32(10), np.float32(0)) * np.ones((900, 1), np.float32)
     colours = np.where(stripes_px[..., None] > 0, np.float32(0.2), np.float32(0.7))
-    colours = colours + rng.normal(0, 0.02, colours.shape[:2] + (3,)).astype(np.float32)
+    colours = colours + rng.normal(0, 0.02, (*colours.shape[:2], 3)).astype(np.float32)
     tracemalloc.start()
     with_fringes(stripes_px, colours, jump_px=1.0, scale=2)
     most_bytes = tracemalloc.get_traced_memory()[1]
