@@ -23,6 +23,7 @@ from telewide.cores import usable_cores
 from telewide.depth.fringes import with_fringes
 from telewide.depth.nearest import fill_unknown
 from telewide.depth.slopes import steepened, with_smooth_outlines
+from telewide.depth.strands import with_strands
 from telewide.depth.votes import agreeing_share, tiles_of, voters_of, votes_around, weighted_median
 from telewide.errors import InputError
 from telewide.geometry.arrays import BoolMap, FloatMap, IntArray
@@ -67,7 +68,8 @@ def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: Flo
     scale = max(1, round(disparity_px.shape[1] / FULL_SCALE_WIDTH_PX))
     if scale == 1:
         followed_px = with_smooth_outlines(_followed(steepened(filled_px), guide_rgb, trust), jump_px=JUMP_PX)
-        return with_fringes(followed_px, guide_rgb, jump_px=JUMP_PX)
+        followed_px = with_fringes(followed_px, guide_rgb, jump_px=JUMP_PX)
+        return with_strands(followed_px, guide_rgb, trust=_measured(confidence, valid))
     wh = -(-disparity_px.shape[1] // scale), -(-disparity_px.shape[0] // scale)
     small_trust, small_px = (
         cv2.resize(plane, wh, interpolation=cv2.INTER_NEAREST_EXACT) for plane in (trust, filled_px)
@@ -79,7 +81,12 @@ def follow_edges(disparity_px: FloatMap, guide_rgb: FloatMap, *, confidence: Flo
     weight = np.asarray(small_trust * np.where(lies_at_edge, EDGE_WEIGHT, 1), dtype=np.float32)
     followed_px = _at_own_size(filled_px, guide_rgb, small_px=small_px, small_guide=small_guide, weight=weight)
     followed_px = with_smooth_outlines(followed_px, jump_px=JUMP_PX)
-    return with_fringes(followed_px, guide_rgb, jump_px=JUMP_PX, scale=scale)
+    followed_px = with_fringes(followed_px, guide_rgb, jump_px=JUMP_PX, scale=scale)
+    return with_strands(followed_px, guide_rgb, trust=_measured(confidence, valid), scale=scale)
+
+
+def _measured(confidence: FloatMap, valid: BoolMap) -> FloatMap:
+    return np.where(valid, confidence, np.float32(0))
 
 
 def _followed(disparity_px: FloatMap, guide_rgb: FloatMap, trust: FloatMap) -> FloatMap:
