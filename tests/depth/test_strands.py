@@ -120,6 +120,19 @@ def test_a_bend_is_not_cut_short(rng: np.random.Generator) -> None:
     assert LARGEST_WIDTH_PX < 4
 
 
+def test_a_line_that_branches_off_is_another_one(rng: np.random.Generator) -> None:
+    """At a small angle, in the colour of the strand: a crack of the ground, say."""
+    first, branch = np.zeros(HW, np.uint8), np.zeros(HW, np.uint8)
+    cv2.line(first, (20, 100), (220, 100), 1, 3)
+    cv2.line(branch, (110, 100), (220, 118), 1, 3)
+    front, crack = first > 0, (branch > 0) & (first == 0)
+    before_px = known_px(front, found_part(front))
+    followed_px = with_strands(before_px, photo(front | crack, rng), trust=np.ones(HW, np.float32))
+    assert (np.abs(followed_px - true_px(front))[front] < 0.6).mean() > 0.75
+    beyond = crack & (np.arange(HW[1]) > 165)
+    np.testing.assert_array_equal(followed_px[beyond], before_px[beyond])
+
+
 def test_depth_on_a_photo_has_whole_strands(rng: np.random.Generator) -> None:
     front = strand(60)
     before_px, lit = known_px(front, found_part(front)), photo(front, rng)
