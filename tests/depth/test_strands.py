@@ -124,7 +124,7 @@ def test_a_line_that_branches_off_is_another_one(rng: np.random.Generator) -> No
     """At a small angle, in the colour of the strand: a crack of the ground, say."""
     first, branch = np.zeros(HW, np.uint8), np.zeros(HW, np.uint8)
     cv2.line(first, (20, 100), (220, 100), 1, 3)
-    cv2.line(branch, (110, 100), (220, 118), 1, 3)
+    cv2.line(branch, (110, 100), (220, 125), 1, 3)
     front, crack = first > 0, (branch > 0) & (first == 0)
     before_px = known_px(front, found_part(front))
     followed_px = with_strands(before_px, photo(front | crack, rng), trust=np.ones(HW, np.float32))
