@@ -158,13 +158,18 @@ class Fronts:
 
     def within(self, box: Box) -> Fronts:
         """Those in a box, counted from its corner."""
-        first, last = np.searchsorted(self.y, (box.top, box.bottom))
-        some = first + np.flatnonzero((self.x[first:last] >= box.left) & (self.x[first:last] < box.right))
+        some = _places_in(box, self.y, self.x)
         return replace(self.at(some), y=self.y[some] - box.top, x=self.x[some] - box.left)
 
     def at(self, which: BoolMap | IntArray) -> Fronts:
         """Some of them."""
         return Fronts(self.y[which], self.x[which], self.rgba[which], self.lowest_bin[which])
+
+
+def _places_in(box: Box, y: NDArray[np.int64], x: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of the places (N,), which stand row by row, that lie in a box."""
+    first, last = np.searchsorted(y, (box.top, box.bottom))
+    return np.asarray(first + np.flatnonzero((x[first:last] >= box.left) & (x[first:last] < box.right)))
 
 
 @dataclass(frozen=True)
@@ -189,10 +194,8 @@ class _Hidden:
 
     def count(self, index: int, box: Box, *, cell: int, seen: FloatMap, share: FloatMap) -> None:
         """Add, to cells of a box, what of it is seen once all that is nearer than a bin is away."""
-        first, last = np.searchsorted(self.y, (box.top, box.bottom))
-        rows = slice(first, last)
-        is_shown = (self.own_bin[rows] <= index) & (self.rear_bin[rows] > index)
-        some = first + np.flatnonzero(is_shown & (self.x[rows] >= box.left) & (self.x[rows] < box.right))
+        some = _places_in(box, self.y, self.x)
+        some = some[(self.own_bin[some] <= index) & (self.rear_bin[some] > index)]
         y, x = (self.y[some] - box.top) // cell, (self.x[some] - box.left) // cell
         np.add.at(share, (y, x), np.float32(1 / cell**2))
         own = self.own_bin[some] == index

@@ -126,7 +126,12 @@ class KeptRecord(Record):
     @property
     def shown_notes(self) -> tuple[str, ...]:
         """Notes on the depth and the bokeh that lie there; of a preview only where it is alone."""
-        return self.notes if self.bokeh is None else (*self.depth.file_notes, *self.depth.notes, *self.bokeh.notes)
+        if self.bokeh is None:
+            return self.notes
+        asked = self.key.get("bokeh")
+        is_preview = isinstance(asked, dict) and asked.get("is_preview") is True
+        of_call = (*self.depth.file_notes, *self.depth.notes) if is_preview else self.notes
+        return tuple(dict.fromkeys((*of_call, *self.bokeh.notes)))
 
     @property
     def shown_numbers(self) -> dict[str, float]:

@@ -11,7 +11,10 @@ import pytest
 from telewide.errors import UsageError
 from telewide.stages.kept_depth import (
     KEPT_NAME,
+    BokehPart,
+    DepthPart,
     KeptDepth,
+    KeptRecord,
     listed_files,
     put_in_place,
     read_kept,
@@ -91,3 +94,13 @@ def test_a_file_in_the_place_of_a_captures_folder_is_a_usage_error(tmp_path: Pat
     with pytest.raises(UsageError, match="000 cannot be written: Not a directory"):
         put_in_place(tmp_path / "staged", tmp_path / "000")
     assert (tmp_path / "000").read_text() == "mine"
+
+
+def test_a_page_tells_what_is_said_of_the_bokeh_that_lies_there_and_of_no_preview() -> None:
+    lying = BokehPart(notes=("a: bokeh is focused on x 1, y 2",))
+    said = ("a: no disparity.png", "a: bokeh.jpg left out: its distance is not known")
+    record = KeptRecord(notes=said, depth=DepthPart(file_notes=said[:1]), bokeh=lying)
+    assert record.model_copy(update={"bokeh": None}).shown_notes == said
+    assert record.shown_notes == (*said, *lying.notes)
+    preview = record.model_copy(update={"key": {"bokeh": {"is_preview": True}}})
+    assert preview.shown_notes == (said[0], *lying.notes)
