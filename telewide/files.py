@@ -122,12 +122,13 @@ def _mode_of(path: Path) -> int:
         return 0
 
 
-def refuse_other_than_folder(path: Path, *, expected: str) -> None:
+def refuse_other_than_folder(path: Path, *, expected: str, hint: str | None = None) -> None:
     """Refuse a path that leads to no folder.
 
     Args:
         path: as its user named it.
         expected: what should be there, for the message.
+        hint: what to do next, where there is more to say.
 
     Raises:
         UsageError: nothing is there, something else is, or it cannot be told.
@@ -140,7 +141,7 @@ def refuse_other_than_folder(path: Path, *, expected: str) -> None:
     except (OSError, ValueError) as error:
         is_other, found = True, f"cannot be opened: {getattr(error, 'strerror', None) or error}"
     if is_other:
-        raise UsageError(f"{path} {found}; {expected} was expected")
+        raise UsageError(f"{path} {found}; {expected} was expected", hint=hint)
 
 
 def refuse_strange_file(path: Path) -> None:

@@ -190,7 +190,7 @@ def focus_note(
     distance_m = named_distance_m(options.focus)
     if distance_m is not None:
         nowhere = "" if focus.is_on_surface else ", where nothing is, so all of it is blurred"
-        return f"{name}: bokeh is focused {distance_m:g} m away{nowhere}; nearest to that is {place}"
+        return f"{name}: the bokeh was focused {distance_m:g} m away{nowhere}; nearest to that is {place}"
     word = options.focus.strip().lower()
     ways = {
         "auto": "the nearest large surface in the middle, in its whole depth; `focus` X,Y, near or far chooses another",
@@ -201,7 +201,7 @@ def focus_note(
     if word == AF_WORD:
         way = f"its EXIF names no place, so {ways['auto']}" if focus.sharp_px else "the place that its EXIF names"
     why = f" ({way})" if way else ""
-    return f"{name}: bokeh is focused on {place}{why}"
+    return f"{name}: the bokeh was focused on {place}{why}"
 
 
 def bokeh_picture(

@@ -24,7 +24,7 @@ from pathlib import Path
 
 from telewide.assets import find_yaml
 from telewide.capture.facts import FACTS_FILE, CaptureFacts, read_facts
-from telewide.capture.formats import READ_KINDS, UNREAD_SUFFIXES
+from telewide.capture.formats import HEAD_BYTES, READ_KINDS, UNREAD_SUFFIXES, format_by_head, read_bytes
 from telewide.capture.view_files import (
     VIEWS,
     best_photos,
@@ -51,6 +51,7 @@ _ROLE_SUFFIX = re.compile(
     r"(?P<name>.+?)(?:[ _.-](?P<word>tele|wide|truth)|[_-](?P<letter>[tw])|[_-](?P<zoom>\d+x))",
     re.IGNORECASE | re.DOTALL,
 )
+_WHERE_TO_PUT = "name the folder that holds your photos, or put them into captures/<name>/tele.jpg and wide.jpg"
 _LAYOUTS = "<name>/tele.* with <name>/wide.*, <name>_tele.* with <name>_wide.*, or tele/<name>.* with wide/<name>.*"
 
 # (name of a capture, its layout) -> role (tele, wide, truth) -> the files that could be it
@@ -126,7 +127,7 @@ def find_captures(folder: Path, *, advised: Callable[[Path], str] = str) -> Capt
     if is_picture(folder):
         hint = f"name the folder that holds it: {advised(_folder_of(folder))}"
         raise UsageError(f"{folder} is a file; a folder with captures was expected", hint=hint)
-    refuse_other_than_folder(folder, expected="a folder with captures")
+    refuse_other_than_folder(folder, expected="a folder with captures", hint=_WHERE_TO_PUT)
     candidates = _candidates(folder)
     captures, problems = _choose(candidates)
     if not captures:
@@ -265,9 +266,16 @@ def _why_unusable(roles: dict[str, list[Path]]) -> str | None:
             present = roles.get(other) or roles.get("truth") or []
             return f"the {view} view is missing; found {listed(present)}{_misspelt(view, roles.get(_OTHER, []))}"
     tele, wide = _pair(roles)
-    if is_same_file(tele, wide) and tele.stat().st_size:  # reading an empty one says that it is empty
-        return f"{tele} and {wide} {_THE_SAME}"
-    return None
+    return f"{tele} and {wide} {_THE_SAME}" if is_same_file(tele, wide) and _is_photo(tele) else None
+
+
+def _is_photo(path: Path) -> bool:
+    """Whether a file begins as a photo does; whoever reads one that is empty or something else says so."""
+    try:
+        format_by_head(path, read_bytes(path, at_most=HEAD_BYTES))
+    except InputError:
+        return False
+    return True
 
 
 def _misspelt(view: str, files: Iterable[Path]) -> str:

@@ -97,7 +97,7 @@ def depth(
     with console_observer(is_quiet=quiet, shows_table=False, invocation=typed(context)) as observer:
         recipe = recipe_of_depth(run, captures, weights=weights)
         done = depth_captures(captures, run=run, recipe=recipe, options=options, observer=observer)
-        say_depth(done, observer, has_previews=preview)
+        say_depth(done, observer, has_previews=preview, formats=formats or ())
     hand_over(depth_as_json(done, observer), failure=why_not_good(done), as_json=as_json)
 
 
@@ -178,20 +178,26 @@ def _formats(words: Sequence[str], *, is_stripped_alone: bool) -> tuple[str, ...
     return chosen if words else None
 
 
-def say_depth(done: DepthRun, observer: ConsoleObserver, *, has_previews: bool = False) -> None:
+def say_depth(
+    done: DepthRun, observer: ConsoleObserver, *, has_previews: bool = False, formats: Sequence[str] = ()
+) -> None:
     """Say where depth was written, which files each capture has, and what to look at.
 
     Args:
         done: what was written.
         observer: says it.
         has_previews: whether previews of the bokeh were asked for.
+        formats: as given to ``--format``.
     """
+    from telewide.depth.export import missing_formats
     from telewide.stages.kept_depth import PREVIEW_BOKEH_NAME
 
     observer.said(f"depth of {counted(len(done.outcomes), 'capture')} in {done.folder}")
     if done.outcomes:
         names = sorted(set.intersection(*({path.name for path in outcome.paths} for outcome in done.outcomes)))
         observer.said(f"each with: {', '.join(names)}")
+    for missing in missing_formats(formats):
+        observer.warned(f"warning: {missing}")
     previews = [path for outcome in done.outcomes for path in outcome.paths if path.name == PREVIEW_BOKEH_NAME]
     if has_previews and previews:
         more = f" and {len(previews) - 1} more" if len(previews) > 1 else ""

@@ -82,5 +82,5 @@ def run_everything(
     resolved = load_recipe(recipe, settings=settings or (), seed=seed)
     with console_observer(is_quiet=quiet, invocation=typed(context)) as observer:
         done = run_captures(captures, run=out, recipe=resolved, options=options, observer=observer)
-        say_depth(done, observer, has_previews=preview)
+        say_depth(done, observer, has_previews=preview, formats=formats or ())
     hand_over(depth_as_json(done, observer), failure=why_not_good(done), as_json=as_json)

@@ -113,7 +113,7 @@ def inspect_pair(
     findings = [
         *_findings_of_scene(found, overlap),
         *_findings_of_rows(vertical, overlap, facts, height=pair.tele.shape[0]),
-        *_findings_of_sharpness(asymmetry, facts, focal_lengths_mm),
+        *([] if _shows_tele_larger(overlap) else _findings_of_sharpness(asymmetry, facts, focal_lengths_mm)),
         *_findings_of_colour(ratio),
     ]
     nan = float("nan")
@@ -176,12 +176,17 @@ def _findings_of_overlap(overlap: Overlap, *, height: int) -> list[_Finding]:
     if overlap.scale > 1 + _SCALE_TOLERANCE:
         text = f"{seen} the scene {overlap.scale:.2f} times larger in wide than in tele: the views are swapped"
         return [_Finding("refused", text)]
-    if overlap.scale < 1 - _SCALE_TOLERANCE:
+    if _shows_tele_larger(overlap):
         text = f"{seen} the scene {1 / overlap.scale:.2f} times larger in tele: wide is not cropped to it"
         return [_Finding("refused", text)]
     if abs(overlap.vertical_px) > 2 * _ROW_MISFIT_DOUBTFUL_SHARE * height:
         return [_Finding("refused", f"{seen} rows {overlap.vertical_px:.0f} px apart: the pair is not rectified")]
     return []
+
+
+def _shows_tele_larger(overlap: Overlap | None) -> bool:
+    """Whether tele shows the scene larger, as it does before wide is cropped: their sharpness then tells nothing."""
+    return overlap is not None and overlap.n > MIN_EVIDENCE_MATCHES and overlap.scale < 1 - _SCALE_TOLERANCE
 
 
 def _findings_of_sharpness(

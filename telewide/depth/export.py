@@ -113,6 +113,21 @@ def chosen_formats(words: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for name, each in FORMATS.items() if name in wanted or (ALL in wanted and each.is_installed))
 
 
+def missing_formats(words: Iterable[str]) -> tuple[str, ...]:
+    """Say which formats ``all`` leaves out because their extra is not installed, one sentence each.
+
+    Args:
+        words: as for `chosen_formats`.
+    """
+    if ALL not in (name.strip().lower() for word in words for name in word.split(",")):
+        return ()
+    return tuple(
+        f"no {' or '.join(each.names)}: {each.module} is not installed; {extra_hint(each.extra)}"
+        for each in FORMATS.values()
+        if not each.is_installed
+    )
+
+
 def write_depth(
     folder: Path,
     result: DepthResult,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from telewide.depth.result import FARTHEST_M
 from telewide.errors import InputError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.geometry.rectification import RectifiedGeometry
@@ -84,7 +85,7 @@ def parse_known_distance(text: str) -> KnownDistance:
         The point.
 
     Raises:
-        UsageError: something else was written, or the distance is not positive.
+        UsageError: something else was written, or the distance is not positive or beyond `FARTHEST_M`.
     """
     try:
         x_px, y_px, distance_m = (float(part) for part in text.split(","))
@@ -92,6 +93,8 @@ def parse_known_distance(text: str) -> KnownDistance:
         raise UsageError(f"a known distance is written X,Y,M: column, row and metres; found {text!r}") from None
     if not (np.isfinite([x_px, y_px, distance_m]).all() and distance_m > 0):
         raise UsageError(f"a known distance needs a place and a positive number of metres, found {text!r}")
+    if distance_m > FARTHEST_M:
+        raise UsageError(f"a known distance may be {FARTHEST_M:g} m at most, found {text!r}")
     return KnownDistance(x_px, y_px, distance_m)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,10 @@ HARDLY_KNOWN_SHARE = 0.5
 """A depth whose standard deviation is a larger share of it is hardly known."""
 MEANINGLESS_SHARE = 1.0
 """A depth whose standard deviation is a larger share of it means nothing."""
+
+
+CONTRADICTING_STDS = 4.0
+"""A known distance that is farther from what the rig said is more likely a slip."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +80,14 @@ def pinned_shot(
     pin = weigh_pin(alone, geometry=geometry, lens_shift_std_px=shift_px)
     by_rig = _rig_words(alone, known, geometry=geometry, precision=precision)
     moved = f"the zero of disparity moved by {pin.correction_px / geometry.scale:+.1f} px of the tele photo"
+    n_std = abs(alone.correction_px) / math.hypot(alone.std_px, shift_px)
+    contradicts = (
+        f"{name}: that contradicts the rig by {n_std:.0f} standard deviations: check the point and the distance"
+    )
     return PinnedShot(
         replace(geometry, doffs_px=pin.doffs_px),
         replace(precision, lens_shift_std_px=pin.std_px / geometry.scale),
-        (f"{taken}; the rig alone said {by_rig}; {moved}",),
+        (f"{taken}; the rig alone said {by_rig}; {moved}", *((contradicts,) if n_std > CONTRADICTING_STDS else ())),
     )
 
 
@@ -148,7 +157,8 @@ def without_depth_behind(result: DepthResult, *, has_rig: bool) -> tuple[DepthRe
         "if the phone was held otherwise than for the calibration, near and far are exchanged: photograph as you "
         "calibrated; if all of it is far away, a measured point (`distance` X,Y,M) helps"
         if has_rig
-        else "if wide stands to the left of tele, near and far are exchanged: state wide_side: left in captures.yaml"
+        else "near and far are exchanged: state wide_side: left in captures.yaml if wide stands to the left of tele, "
+        "or exchange the two photos if they are swapped"
     )
     if result.depth_m is None:
         return result, f"{result.name}: {share:.0%} {ALL_NEGATIVE}; {side}"

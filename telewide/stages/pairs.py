@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from telewide.calibration.rig_file import StoredRig
@@ -56,6 +56,7 @@ class PreparedSet:
         stated_window: disparities to search that the recipe states, px at the working size; None for measured ones.
         problems: captures left out, and why.
         rig: what the photos were rectified with; None without.
+        root: the folder.
     """
 
     pairs: tuple[PreparedPair, ...]
@@ -63,6 +64,7 @@ class PreparedSet:
     stated_window: Window | None
     problems: tuple[Problem, ...]
     rig: StoredRig | None = None
+    root: Path = field(kw_only=True)
 
     @property
     def window(self) -> Window:
@@ -77,13 +79,13 @@ class PreparedSet:
         except InputError as error:
             hint = error.hint or self._where_to_look()
             if self.rig is None and not self.facts.rectified:
-                hint = f"photos as they were taken need a rig, {how_to_calibrate(Path('CAPTURES'))}; or {hint}"
+                hint += f"; photos as they were taken need a rig, {how_to_calibrate(self.root)}"
             raise InputError(error.message, hint=hint) from error
 
     def _where_to_look(self) -> str:
         record = self.pairs[0].capture.tele_path.parent / RECORD_NAME
         others = f", and so on for the other {len(self.pairs) - 1}" if len(self.pairs) > 1 else ""
-        stating = command_line("train", "CAPTURES", set="window_px=[0,64]")
+        stating = command_line("train", self.root, set="window_px=[0,64]")
         return f"see what was measured in {record}{others}; a training may be told what to search: {stating}"
 
     def window_with(self, former: Window | None) -> Window:

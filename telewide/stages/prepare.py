@@ -173,7 +173,7 @@ def prepare_captures(
             tick(capture.name, is_kept=prepared is not None and prepared.is_kept)
     if not pairs:
         raise _none_left(captures, problems, n_refused=n_refused, needs_rig=rig is None and (n_refused > 0 or is_uncut))
-    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig)
+    return PreparedSet(tuple(pairs), captures.facts, recipe.window_px, tuple(problems), rig=rig, root=captures.root)
 
 
 def _none_left(

@@ -30,6 +30,10 @@ from telewide.text import Invocation
 
 _OF_ONE = {"preview": None, "distance": None}
 """Options of a call that are not for other captures."""
+_OF_ITS_BOKEH = dict.fromkeys(
+    ("bokeh", "focus", "f_number", "equiv_focal", "strength", "blades", "highlights", "picture")
+)
+"""Options that are not for captures of former calls, whose bokeh stays as it is."""
 
 
 def report(call: Call, done: DepthRun, *, bokeh: BokehOptions | None = None) -> DepthRun:
@@ -125,8 +129,12 @@ def _calls_on_one(call: Call, names: Sequence[str]) -> dict[str, Invocation]:
         return {}
     typed, is_alone = call.invocation, _is_on_its_folder(call)
     words = (call.captures.root.parent,) if is_alone else typed.words
-    calls = {name: replace(typed, words=words, options={**typed.options, "only": name, **_OF_ONE}) for name in names}
     own = [capture.name for capture in call.captures.captures]
+
+    def options(name: str) -> dict[str, object]:
+        return {**typed.options, "only": name, **_OF_ONE, **({} if name in own else _OF_ITS_BOKEH)}
+
+    calls = {name: replace(typed, words=words, options=options(name)) for name in names}
     if len(own) == 1:
         calls[own[0]] = typed
     return calls

@@ -100,4 +100,6 @@ def how_to_calibrate(root: Path) -> str:
     rig = root / RIG_FILE
     boards = command_line("calibrate", "boards", out=rig)
     scenes = command_line("calibrate", root, from_scenes=True, out=rig)
-    return f"calibrate first, from photos of a board: {boards}, or without a board: {scenes}"
+    return (
+        f"calibrate first, from photos of a board: {boards}, or without a board, from eight captures or more: {scenes}"
+    )

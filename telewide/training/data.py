@@ -151,7 +151,7 @@ def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Itera
         # A forked process inherits OpenCV's locks without the threads that hold them, and waits for ever.
         multiprocessing_context="spawn" if workers else None,
     )
-    with _interrupts_held():  # which worker processes inherit: Ctrl-C is answered by this process alone
+    with _interrupts_held():  # which worker processes inherit: this process alone answers Ctrl-C and SIGTERM
         batches = iter(loader)
     try:
         yield from batches
@@ -166,10 +166,10 @@ def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Itera
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Let no Ctrl-C through within the block; one that comes meanwhile is answered afterwards."""
+    """Let no Ctrl-C or SIGTERM through within the block; one that comes meanwhile is answered afterwards."""
     if hasattr(signal, "pthread_sigmask"):
         resource_tracker.ensure_running()  # lets interrupts through when it starts, as it would with the first worker
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
             yield
         finally:

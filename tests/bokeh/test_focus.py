@@ -122,7 +122,7 @@ def test_a_named_distance_is_told_as_that_of_the_sharp_plane(scene_px: np.ndarra
     place_px = f_px_m / 1.84
     note = focus_note("000", found, place_px=place_px, depth_m=1.84, options=BokehOptions(focus="1.8m"))
     sharp, _, surface = note.partition(";")
-    assert sharp == "000: bokeh is focused 1.8 m away"
+    assert sharp == "000: the bokeh was focused 1.8 m away"
     assert surface == f" nearest to that is x {found.x_px}, y {found.y_px}, 1.84 m away, disparity {place_px:.1f} px"
 
 
@@ -300,4 +300,4 @@ def test_what_is_sharp_is_told_with_its_place_distance_and_how_to_change_it() ->
 )
 def test_how_sure_a_distance_is_stands_beside_it(std_m: float | None, told: str) -> None:
     note = focus_note("000", Focus(12.1, 80, 60), place_px=12.34, depth_m=0.3, std_m=std_m, options=BokehOptions())
-    assert note.startswith(f"000: bokeh is focused on x 80, y 60{told}, disparity 12.3 px")
+    assert note.startswith(f"000: the bokeh was focused on x 80, y 60{told}, disparity 12.3 px")

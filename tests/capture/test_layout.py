@@ -214,6 +214,7 @@ def test_no_photo_is_renamed_whose_name_is_not_near(tmp_path: Path) -> None:
 def test_both_views_the_same_file(tmp_path: Path, link: str) -> None:
     tele, wide = tmp_path / "bad" / "tele.jpg", tmp_path / "bad" / "wide.jpg"
     fill(tmp_path, ["bad/tele.jpg"])
+    write_image(tele, np.zeros((8, 8, 3), np.float32))
     if link == "hardlink":
         os.link(tele, wide)
     elif link == "symlink":
@@ -223,11 +224,12 @@ def test_both_views_the_same_file(tmp_path: Path, link: str) -> None:
     assert "are the same picture" in the_problem(tmp_path)
 
 
-def test_two_empty_files_are_not_the_same_picture(tmp_path: Path) -> None:
-    """Whoever reads them says that they are empty."""
+@pytest.mark.parametrize("content", [b"", b"hi\n"])
+def test_what_is_no_picture_is_not_the_same_picture(tmp_path: Path, content: bytes) -> None:
+    """Whoever reads them says that they are empty, or no photos."""
     fill(tmp_path, ["bad/tele.jpg", "bad/wide.jpg"])
     for name in ("tele", "wide"):
-        (tmp_path / "bad" / f"{name}.jpg").write_bytes(b"")
+        (tmp_path / "bad" / f"{name}.jpg").write_bytes(content)
     assert [capture.name for capture in find_captures(tmp_path).captures] == ["bad"]
 
 
@@ -297,7 +299,7 @@ def test_a_photo_instead_of_its_folder_is_answered_with_the_folder(
 def test_the_hint_on_a_photo_given_twice_does_not_speak_of_names(tmp_path: Path) -> None:
     for name in ("A/tele.jpg", "A/wide.jpg"):
         fill(tmp_path, [name])
-        (tmp_path / name).write_bytes(b"one and the same")
+        write_image(tmp_path / name, np.zeros((8, 8, 3), np.float32))
     with pytest.raises(InputError, match="same picture") as caught:
         find_captures(tmp_path)
     assert "other lens" in (caught.value.hint or "")

@@ -35,7 +35,7 @@ def test_a_doubt_about_a_capture_is_a_warning_and_never_kept_back(tmp_path: Path
     report = report_of("000", "usable", "its matches lie 1.20 px off their rows")
     pair = PreparedPair(capture, capture, report, 1.0, HeldOut(capture, np.zeros((0, 2)), np.zeros(0)))
     console = Console(file=io.StringIO(), width=200)
-    prepared = PreparedSet((pair,), CaptureFacts(rectified=True), (0, 32), ())
+    prepared = PreparedSet((pair,), CaptureFacts(rectified=True), (0, 32), (), root=tmp_path)
     ConsoleObserver(console, is_quiet=is_quiet).set_prepared(prepared)
     assert isinstance(console.file, io.StringIO)
     told = console.file.getvalue()

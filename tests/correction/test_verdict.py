@@ -113,13 +113,19 @@ def test_a_turned_view_is_refused(pair: RectifiedPair) -> None:
     assert any("turned by" in r and "180" in r for r in report.reasons)
 
 
-def test_views_of_two_scales_are_refused(world: RenderedPair) -> None:
+def test_views_of_two_scales_are_refused(world: RenderedPair, rng: np.random.Generator) -> None:
     height, width = world.ref.shape[:2]
     crop = world.ref[height // 4 : -height // 4, width // 4 : -width // 4]
     enlarged = cv2.resize(crop, (width, height), interpolation=cv2.INTER_CUBIC)
     uncropped = inspect_pair(RectifiedPair("uncropped", enlarged, world.src), facts=SILENT)
     assert uncropped.verdict == "refused"
     assert any("larger in tele" in r for r in uncropped.reasons)
+    noisy = np.clip(world.src + 0.05 * rng.standard_normal(world.src.shape, dtype=np.float32), 0, 1)  # so it looks finer
+    report = inspect_pair(RectifiedPair("noisy", enlarged, noisy), facts=SILENT)
+    assert report.asymmetry is not None
+    assert report.asymmetry < 0.8
+    assert any("larger in tele" in r for r in report.reasons)
+    assert not any("swapped" in r for r in report.reasons), "matches show that they are not"
     confused = inspect_pair(RectifiedPair("confused", world.src, enlarged), facts=SILENT)
     assert any("larger in wide" in r for r in confused.reasons)
 

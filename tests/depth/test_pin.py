@@ -95,7 +95,7 @@ def test_what_cannot_be_pinned_is_refused() -> None:
         pin_distance(disparity_px, known, geometry=relative)
 
 
-@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,0", "1,2,-1", "1,2,nan"])
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,0", "1,2,-1", "1,2,nan", "1,2,1e4"])
 def test_a_known_distance_is_three_numbers(text: str) -> None:
     assert parse_known_distance("12, 34.5,1.2") == KnownDistance(12.0, 34.5, 1.2)
     with pytest.raises(UsageError, match="known distance"):

@@ -39,7 +39,7 @@ def metres_by_the_rig() -> float:
 def test_a_known_distance_says_what_it_changed(known: KnownDistance) -> None:
     precision = DepthPrecision(lens_shift_std_px=SHIFT_PX)
     pinned = pinned_shot("000", SEEN_PX, known, geometry=GEOMETRY, precision=precision)
-    (note,) = pinned.notes
+    note = pinned.notes[0]
     assert note.startswith(f"000: x {known.x_px:.0f}, y {known.y_px:.0f} is taken to be 0.79 m away")
     assert ("EXIF" in note) == known.is_focus
     by_rig = re.search(r"the rig alone said ([0-9.]+) ± ([0-9.]+) m", note)
@@ -52,10 +52,24 @@ def test_a_known_distance_says_what_it_changed(known: KnownDistance) -> None:
     assert f"moved by {moved_px:+.1f} px" in note
 
 
+@pytest.mark.parametrize("n_std", [1.0, 3.0, 6.0])
+def test_a_distance_that_contradicts_the_rig_is_questioned(n_std: float) -> None:
+    pin = pin_distance(SEEN_PX, KNOWN, geometry=GEOMETRY)
+    shift_px = np.sqrt((pin.correction_px / n_std) ** 2 - pin.std_px**2) / GEOMETRY.scale
+    precision = DepthPrecision(lens_shift_std_px=float(shift_px))
+    notes = pinned_shot("000", SEEN_PX, KNOWN, geometry=GEOMETRY, precision=precision).notes
+    questioned = [note for note in notes if "contradicts the rig" in note]
+    assert questioned == (
+        ["000: that contradicts the rig by 6 standard deviations: check the point and the distance"]
+        if n_std > 4
+        else []
+    )
+
+
 def test_a_point_beyond_infinity_has_no_metres_by_the_rig() -> None:
     behind_px = np.full(GEOMETRY.hw, -GEOMETRY.doffs_px - 2, np.float32)
-    (note,) = pinned_shot("000", behind_px, KNOWN, geometry=GEOMETRY, precision=DepthPrecision(0, 0, SHIFT_PX)).notes
-    assert "the rig alone said that it is beyond infinity" in note
+    notes = pinned_shot("000", behind_px, KNOWN, geometry=GEOMETRY, precision=DepthPrecision(0, 0, SHIFT_PX)).notes
+    assert "the rig alone said that it is beyond infinity" in notes[0]
 
 
 def test_the_scale_that_a_known_distance_gives_is_told() -> None:

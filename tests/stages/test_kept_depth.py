@@ -97,7 +97,7 @@ def test_a_file_in_the_place_of_a_captures_folder_is_a_usage_error(tmp_path: Pat
 
 
 def test_a_page_tells_what_is_said_of_the_bokeh_that_lies_there_and_of_no_preview() -> None:
-    lying = BokehPart(notes=("a: bokeh is focused on x 1, y 2",))
+    lying = BokehPart(notes=("a: the bokeh was focused on x 1, y 2",))
     said = ("a: no disparity.png", "a: bokeh.jpg left out: its distance is not known")
     record = KeptRecord(notes=said, depth=DepthPart(file_notes=said[:1]), bokeh=lying)
     assert record.model_copy(update={"bokeh": None}).shown_notes == said

@@ -162,6 +162,7 @@ def test_what_next_names_the_capture_that_is_shown(folder: Path, said: Said, par
         for words in calls[name]:
             assert words[:2] == ["depth", str(folder / "captures")]
             assert words[words.index("--only") + 1] == name
+            assert "--strength" not in words, "the bokeh of a former call is none of this one's"
     with pytest.raises(SystemExit) as left:
         main(calls["001"][0])
     assert not left.value.code
@@ -180,7 +181,7 @@ def test_the_page_says_what_made_each_depth_and_what_was_said_of_it(folder: Path
     doubted["report"]["reasons"] = ["its rows lie apart, see `rig`"]
     told = said("captures", "--bokeh", "--focus", "near")
     page = (folder / "run" / "report.html").read_text()
-    focused = re.findall(r"(00\d): (bokeh is focused on x .*? px )", told)
+    focused = re.findall(r"(00\d): (the bokeh was focused on x .*? px )", told)
     assert len(focused) == 3
     for _, words in focused:
         assert page.count(html.escape(words)) >= 1, "with the pictures"
@@ -191,7 +192,7 @@ def test_the_page_says_what_made_each_depth_and_what_was_said_of_it(folder: Path
     pair.write_text(json.dumps(doubted))
     notes = {name: notes_of(name, depth=folder / "run" / "depth" / name, pair=pair.parent) for name in ("001", "002")}
     assert notes["001"][0] == "its rows lie apart, see `rig`"
-    assert notes["001"][-1].startswith("bokeh is focused on")
+    assert notes["001"][-1].startswith("the bokeh was focused on")
 
 
 @pytest.mark.parametrize("weights", ["box", "run", "other"])

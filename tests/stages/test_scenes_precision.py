@@ -111,6 +111,6 @@ def test_pairs_too_poor_to_measure_blur_are_rehearsed_at_the_factor_of_their_rig
     capture = Capture("a", Path("tele.png"), Path("wide.png"))
     held_out = HeldOut(capture, np.zeros((0, 2)), np.zeros(0))
     pair = PreparedPair(capture, capture, report, 1.0, held_out, alignment())
-    prepared = PreparedSet((pair,), CaptureFacts(), None, ())
+    prepared = PreparedSet((pair,), CaptureFacts(), None, (), root=Path("captures"))
     assert prepared.damage_factor == (3.0, 3.0)
     assert replace(prepared, pairs=(replace(pair, alignment=None),)).damage_factor is None

@@ -743,6 +743,14 @@ def test_an_interrupt_during_a_stages_last_judgement_stops_the_training(
     assert list(heard.losses) == ([("feature-1", 1)], [])[at - 1]
 
 
+def test_workers_start_deaf_to_what_ends_a_process_group() -> None:
+    """``timeout`` and batch systems send SIGTERM to all; whoever trains answers it, between two steps."""
+    with _interrupts_held():
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    assert {signal.SIGINT, signal.SIGTERM} <= held
+    assert not {signal.SIGINT, signal.SIGTERM} & signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
 def test_an_interrupt_while_workers_start_is_answered_afterwards() -> None:
     def start() -> None:
         with _interrupts_held():

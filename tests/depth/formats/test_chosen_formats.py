@@ -9,7 +9,7 @@ import pytest
 from depth.formats.made_depth import made_photo, made_result
 
 from telewide.depth import export
-from telewide.depth.export import FORMATS, chosen_formats, file_names, write_depth
+from telewide.depth.export import FORMATS, chosen_formats, file_names, missing_formats, write_depth
 from telewide.errors import MissingPartError, UsageError
 from telewide.stages.kept_depth import FILE_NAMES
 
@@ -32,6 +32,10 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         chosen_formats(("exr",))
     assert "[exr]" in str(caught.value.hint)
     assert not {"exr", "glb", "ply"} & set(chosen_formats(("all",)))
+    told = missing_formats(("png,all",))
+    assert ["depth.exr" in line and "[exr]" in line for line in told].count(True) == 1
+    assert len(told) == len({"ply", "glb", "exr", "heic"})
+    assert missing_formats(("png",)) == ()
 
 
 def test_every_file_that_is_written_is_known_by_its_name(tmp_path: Path) -> None:
