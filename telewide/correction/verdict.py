@@ -113,7 +113,7 @@ def inspect_pair(
     findings = [
         *_findings_of_scene(found, overlap),
         *_findings_of_rows(vertical, overlap, facts, height=pair.tele.shape[0]),
-        *([] if _shows_tele_larger(overlap) else _findings_of_sharpness(asymmetry, facts, focal_lengths_mm)),
+        *([] if _is_tele_larger(overlap) else _findings_of_sharpness(asymmetry, facts, focal_lengths_mm)),
         *_findings_of_colour(ratio),
     ]
     nan = float("nan")
@@ -176,7 +176,7 @@ def _findings_of_overlap(overlap: Overlap, *, height: int) -> list[_Finding]:
     if overlap.scale > 1 + _SCALE_TOLERANCE:
         text = f"{seen} the scene {overlap.scale:.2f} times larger in wide than in tele: the views are swapped"
         return [_Finding("refused", text)]
-    if _shows_tele_larger(overlap):
+    if _is_tele_larger(overlap):
         text = f"{seen} the scene {1 / overlap.scale:.2f} times larger in tele: wide is not cropped to it"
         return [_Finding("refused", text)]
     if abs(overlap.vertical_px) > 2 * _ROW_MISFIT_DOUBTFUL_SHARE * height:
@@ -184,7 +184,7 @@ def _findings_of_overlap(overlap: Overlap, *, height: int) -> list[_Finding]:
     return []
 
 
-def _shows_tele_larger(overlap: Overlap | None) -> bool:
+def _is_tele_larger(overlap: Overlap | None) -> bool:
     """Whether tele shows the scene larger, as it does before wide is cropped: their sharpness then tells nothing."""
     return overlap is not None and overlap.n > MIN_EVIDENCE_MATCHES and overlap.scale < 1 - _SCALE_TOLERANCE
 
