@@ -32,6 +32,7 @@ from telewide.bokeh.surroundings import find_surroundings
 from telewide.bokeh.uncovered import find_uncovered
 from telewide.bokeh.wide_light import WideView
 from telewide.capture.exif import read_photo_facts
+from telewide.capture.facts import FACTS_FILE
 from telewide.capture.pair import CaptureSet
 from telewide.depth.precision_notes import away_words
 from telewide.drawing import scaled_image
@@ -86,6 +87,9 @@ class BokehOptions:
         return any(strength is not None for strength in (self.f_number, self.strength_px, self.strength_share))
 
 
+_BY_RIG = "name a rig with `rig`, if the photos are as they were taken; else "
+
+
 def check_bokeh(
     bokeh: BokehOptions | None,
     captures: CaptureSet,
@@ -109,6 +113,7 @@ def check_bokeh(
     """
     if bokeh is None:
         return
+    facts = captures.root / FACTS_FILE
     stated_m = baseline_m if has_rig else captures.facts.baseline_m
     has_metres = is_pinned or (stated_m is not None and (has_rig or captures.facts.f_px is not None))
     if named_distance_m(bokeh.focus) is not None and not has_metres:
@@ -117,15 +122,15 @@ def check_bokeh(
             + ("a rig without a scale does not give" if has_rig else "nothing stated of the captures gives"),
             hint="pin the rig to a measured distance with `distance`, or name a point of the photo with `focus`"
             if has_rig
-            else "state baseline_m and f_px in captures.yaml, or name a point of the photo with `focus`",
+            else f"{_BY_RIG}state baseline_m and f_px in {facts}, or name a point of the photo with `focus`",
         )
     if bokeh.f_number is not None and stated_m is None and not is_pinned:
         raise UsageError(
-            f"`f_number` needs the distance of the two lenses, which {'the rig' if has_rig else 'captures.yaml'} does "
-            "not state",
+            "`f_number` needs the distance of the two lenses, which "
+            + ("the rig does not state" if has_rig else "nothing stated of the captures gives"),
             hint="pin the rig to a measured distance with `distance`, or give the blur in pixels with `strength`"
             if has_rig
-            else "state baseline_m in captures.yaml, or give the blur in pixels with `strength`",
+            else f"{_BY_RIG}state baseline_m in {facts}, or give the blur in pixels with `strength`",
         )
     if named_point(bokeh.focus, hw=None) is not None:
         _check_point(bokeh.focus, captures, rotated_deg=0 if has_rig else captures.facts.rotated_deg)
