@@ -7,9 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from benchmark.paper.small_task import COLUMN, Told, scenes_of, task_of, write_scenes
 from training.small import CPU, WINDOW, Heard, source_of, training_in, write_pairs
 
 from telewide.benchmark.learned import LearnedSystem, read_learned_systems
+from telewide.benchmark.paper.cells import CellPlan, Cells
+from telewide.benchmark.paper.learned_rows import learned_row
 from telewide.errors import InputError, UsageError
 from telewide.matching.inference import match_with_network
 from telewide.matching.networks import NETWORKS, StereoNetwork
@@ -131,6 +134,20 @@ def test_a_system_is_added_with_a_network_and_an_entry(tmp_path: Path, monkeypat
     assert heard.finished == ["photometric", "feature-1"]
     view = np.random.default_rng(0).random((48, 64, 3), dtype=np.float32)
     assert match_with_network(view, view, network=state.average, window=WINDOW).disparity_px.shape == (48, 64)
+
+
+def test_an_entry_of_ones_own_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(NETWORKS, "plain", lambda: StereoNetwork(_OneLayer(), _Plain()))
+    path = tmp_path / "mine.yaml"
+    path.write_text(OWN.replace("train.stages=1", "train.stages=1, 'train.crop_hw=[64, 96]'"))
+    write_scenes(tmp_path)
+    row = learned_row("plain", read_learned_systems(path=path)["plain"])
+    cells = Cells(tmp_path / "out", Told())
+    task = task_of(tmp_path, steps=4)
+    ((_, lines),) = cells.rows([CellPlan(row, COLUMN, task, scenes_of(tmp_path, "test"))])
+    assert cells.problems == []
+    assert {line["weights"] for line in lines} == {"last", "best"}
+    assert all(np.isfinite(float(str(line["end_point_error_px"]))) for line in lines)
 
 
 def test_what_an_entry_gets_wrong_is_said(tmp_path: Path) -> None:

@@ -31,6 +31,15 @@ SIZES = {
 }
 
 
+# The scenes that the supplement tests on; the others of each set are trained on.
+TESTED = {
+    "paper-inria-slfd": "Coffee_beans_vases Three_pillows Antiques Flying_furniture Toy_bricks Kiwi_bike "
+    "Electro_devices Fruit_box Camera_brush Egyptian_sculpture Flying_dice Moai Flying_toys",
+    "paper-hci": "boardgames vinyl pillows table medieval2 rosemary tower",
+    "paper-middlebury": "Art Books Dolls Laundry Moebius Reindeer",
+}
+
+
 def numbered(hw: tuple[int, int]) -> StereoTruth:
     """Every pixel's truth is its own number."""
     numbers = np.arange(hw[0] * hw[1], dtype=np.float32).reshape(hw)
@@ -45,6 +54,7 @@ def test_shipped_protocols_have_their_scenes_once() -> None:
         assert set(protocol.data_sets) <= DATA_SETS.keys()
         scenes = [scene for split in protocol.splits.values() for scene in split]
         assert len(set(scenes)) == len(scenes)
+    assert {name: protocols[name].splits["test"] for name in TESTED} == {n: tuple(t.split()) for n, t in TESTED.items()}
 
 
 def test_a_data_set_is_a_protocol_that_takes_all_of_it() -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import multiprocessing
+import os
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from importlib import metadata
@@ -271,3 +274,22 @@ def test_every_row_of_every_table_has_cells_on_the_photographed_sets(
         assert plan.task.validation
         for scene in (*plan.task.training, *plan.task.validation):
             assert (scene.root, scene.name) not in tested
+
+
+@pytest.mark.slow
+def test_processes_of_torchrun_share_the_cells_of_a_table(data: Path, repo: Path) -> None:
+    out = data.parent / "out"
+    words = ["-m", "telewide", "benchmark", "paper", "--table", "prior", "--systems", "sgm", "--data-sets", "captures"]
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    done = subprocess.run(
+        [*launch, *words, "--data", str(data), "--out", str(out)],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(repo)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.count("| sgm") == 1, "one process prints"
+    assert (out / "prior.md").is_file()
+    assert len(list((out / "cells").iterdir())) == 3
