@@ -8,6 +8,7 @@ flexible subset of dense and sparse light field views (IEEE TIP 2019). Letters: 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from telewide.benchmark.datasets.truth import StereoTruth, checked_truth, occlud
 from telewide.capture.pfm import read_pfm
 from telewide.errors import InputError, UsageError
 from telewide.files import is_there
-from telewide.geometry.arrays import FloatMap
+from telewide.geometry.arrays import BoolMap, FloatMap
 from telewide.npz import read_npy
+from telewide.simulate.beside import seen_from_beside
 
 SIDE = 9
 MIDDLE = 40
@@ -38,7 +40,9 @@ def read_hci(root: Path, scene: str, *, views: tuple[int, int]) -> StereoTruth:
         views: numbers of the left and the right view, of one row.
 
     Returns:
-        The pair; all disparities are unknown where the set keeps them to itself.
+        The pair; all disparities are unknown where the set keeps them to itself. What is occluded follows from both
+        disparities, or from the left view's alone where the right one has none: things that only the right view shows
+        then hide nothing.
 
     Raises:
         UsageError: there is no such scene or view, or the views are not of one row.
@@ -78,10 +82,25 @@ def _pair(
     of_left_px, of_right_px = (None if px is None else px * np.float32(steps) for px in per_step_px)
     if of_left_px is None:
         return StereoTruth(left, right, np.full(left.shape[:2], np.nan, np.float32))
-    occluded = None
+    truth = checked_truth(folder, StereoTruth(left, right, of_left_px))
     if of_right_px is not None and of_right_px.shape == of_left_px.shape:
-        occluded = occluded_by_cross_check(of_left_px, of_right_px)
-    return checked_truth(folder, StereoTruth(left, right, of_left_px, occluded))
+        return replace(truth, occluded=occluded_by_cross_check(of_left_px, of_right_px))
+    return replace(truth, occluded=_occluded_by_left(truth))
+
+
+def _occluded_by_left(truth: StereoTruth) -> BoolMap:
+    """Find what the right view does not see, by the disparity of the left one alone.
+
+    A pixel is hidden where a surface of the left view lies before its place in the right one, nearer by more than
+    `telewide.simulate.beside.SURFACE_STEP_PX` (so that a slanted surface does not hide itself), or where that place is
+    outside. Things that only the right view shows are not known: what they hide counts as visible.
+
+    Returns:
+        (H, W) bool; True as well where the disparity is unknown, which hides nothing.
+    """
+    beyond_px = np.float32(-2 * truth.disparity_px.shape[1])  # outside on the right, apart from every surface
+    disparity_px = np.where(np.isnan(truth.disparity_px), beyond_px, truth.disparity_px)
+    return seen_from_beside(truth.left, disparity_px).occluded
 
 
 def _steps(views: tuple[int, int]) -> int:
