@@ -92,8 +92,9 @@ def _occluded_by_left(truth: StereoTruth) -> BoolMap:
     """Find what the right view does not see, by the disparity of the left one alone.
 
     A pixel is hidden where a surface of the left view lies before its place in the right one, nearer by more than
-    `telewide.simulate.beside.SURFACE_STEP_PX` (so that a slanted surface does not hide itself), or where that place is
-    outside. Things that only the right view shows are not known: what they hide counts as visible.
+    `telewide.simulate.beside.SURFACE_STEP_PX`, or where that place is outside. A slanted surface does not hide itself
+    up to a slope of 0.6 px a column. Things that only the right view shows are not known: what they hide counts as
+    visible.
 
     Returns:
         (H, W) bool; True as well where the disparity is unknown, which hides nothing.
