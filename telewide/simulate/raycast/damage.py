@@ -1,7 +1,13 @@
 """Damage by a second, worse camera to a view, in torch: moved, blurred, shrunken, noisy, compressed, tinted, enlarged.
 
-The same order and meaning as `telewide.simulate.degrade`, with the lens' falloff and clipped highlights besides, on the
-device of the view. Letters: B views, H W view, h w as the worse camera saw it.
+On the device of the view. Moves, blur, shrinking and noise are those of `telewide.simulate.degrade`; the rest is not:
+
+- corners darken after shrinking, in sRGB values and by the square of the distance from the middle; there before it, in
+  linear light and by cos^4;
+- gamma and gain come before JPEG; there after it, and channels may be mixed;
+- rows may also move by the column, as a small turn moves them; there by the row alone.
+
+The weights that come with the program were trained so. Letters: B views, H W view, h w as the worse camera saw it.
 """
 
 from __future__ import annotations
@@ -33,10 +39,10 @@ class Damage:
         jpeg_quality: 1 to 100; None for no compression.
         gain: (R, G, B) factors.
         gamma: exponent.
-        vignetting: loss of light in the corners, share.
+        vignetting: share of their sRGB values that the corners lose.
         vertical_px: the content moves down by so many px,
         vertical_slope: by so many more per px below the centre,
-        turn_rad: and turns about the centre.
+        turn_rad: and by so many more per px to the right of it; columns stay.
     """
 
     factor: float = 1.0

@@ -1,4 +1,6 @@
-"""Damage in torch against its twin in numpy, its JPEG against Pillow's, many views at once against one at a time."""
+"""Damage in torch: what it shares with numpy's against that, its JPEG against Pillow's, many views at once against one
+at a time, moves and dark corners against their closed forms.
+"""
 
 from __future__ import annotations
 
@@ -64,6 +66,34 @@ def test_a_vertical_offset_moves_the_content_down() -> None:
     picture = view(2)
     moved = damaged(picture, Damage(vertical_px=2.0))
     np.testing.assert_allclose(moved[6:-6], picture[4:-8], atol=1e-4)
+
+
+def test_a_small_turn_moves_rows_by_what_grows_with_the_column() -> None:
+    """By whole pixels in some columns, where nothing is interpolated; in all of them a ramp tells how far."""
+    turn_rad, side = 1 / 16, 95
+    right = np.arange(side) - side // 2
+    picture = view(2)[:side, :side]
+    moved = damaged(picture, Damage(turn_rad=turn_rad))
+    for column in np.flatnonzero(right % 16 == 0):
+        down = right[column] // 16
+        np.testing.assert_allclose(moved[6:-6, column], picture[6 - down : side - 6 - down, column], atol=1e-4)
+    ramp = np.broadcast_to(np.arange(side, dtype=np.float32)[:, None, None] / side, (side, side, 3))
+    down_px = (ramp - damaged(ramp, Damage(turn_rad=turn_rad)))[6:-6] * side
+    # A cubic through four points is up to a twentieth of a pixel off a ramp.
+    np.testing.assert_allclose(down_px, np.broadcast_to((turn_rad * right)[:, None], down_px.shape), atol=0.06)
+
+
+@pytest.mark.parametrize("lost", [0.2, 0.5])
+def test_corners_lose_their_share_and_the_middle_keeps_its_light(lost: float) -> None:
+    """Half of it is lost in the middles of the sides, by the square of the distance along each axis."""
+    picture = view(3)[:61, :95]
+    dark = damaged(picture, Damage(vignetting=lost))
+    down, right = np.arange(-30, 31)[:, None] / 30, np.arange(-47, 48)[None] / 47
+    kept = dark / np.maximum(picture, 1e-6)
+    assert kept[30, 47] == pytest.approx(1, abs=1e-5)
+    assert kept[[0, 0, -1, -1], [0, -1, 0, -1]] == pytest.approx(1 - lost, abs=1e-5)
+    assert kept[[0, -1, 30, 30], [47, 47, 0, -1]] == pytest.approx(1 - lost / 2, abs=1e-5)
+    np.testing.assert_allclose(dark, picture * (1 - lost * (down**2 + right**2) / 2)[..., None], atol=1e-6)
 
 
 def drawn(seed: int) -> Damage:
