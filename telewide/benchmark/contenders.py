@@ -1,4 +1,4 @@
-"""The matchers to compare: semi-global matching, the networks of run folders and weights files, and both together."""
+"""The matchers to compare: semi-global matching, and the networks of run folders and weights files."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 Realistic layout teaches nothing more; variety does. Sizes are drawn in pixels and places in disparity, so that every
 world fills its view and its window whatever the baseline. What matching finds hard is common: plain walls, repetition,
-things one to six pixels wide, gaps through which only ref sees, the same paint before and behind, glass, gloss,
-dark corners.
+things one to six pixels wide, gaps through which only ref sees, the same paint before and behind, glass, gloss.
 """
 
 from __future__ import annotations
