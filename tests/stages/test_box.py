@@ -1,8 +1,11 @@
-"""A training on worlds alone ends, goes on where it was stopped with the same result, and refuses another recipe."""
+"""A training on worlds alone ends, goes on where it was stopped with the same result, and refuses another recipe; the
+weights that come with the program state such a training, as its own reader tells.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +14,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from telewide.assets import BOX_WEIGHTS
+from telewide.capture.formats import PHOTO_SUFFIXES, UNREAD_SUFFIXES
 from telewide.errors import InputError, UsageError
 from telewide.recipe import Recipe, load_recipe
 from telewide.stages import box
@@ -112,3 +117,36 @@ def test_no_link_is_followed_out_of_the_run_folder(tmp_path: Path, monkeypatch: 
         train_box(recipe(2), run=None, fresh=True, device="cpu", observer=Quiet())
     assert [path.name for path in canary.iterdir()] == ["training.json"]
     assert (canary / "training.json").read_text() == "precious"
+
+
+def texts_in(value: object) -> list[str]:
+    """All names and texts in plain data."""
+    if isinstance(value, Mapping):
+        return [text for name, held in value.items() for text in (str(name), *texts_in(held))]
+    if isinstance(value, list | tuple):
+        return [text for held in value for text in texts_in(held)]
+    return [value] if isinstance(value, str) else []
+
+
+def test_the_weights_in_the_box_say_where_they_come_from() -> None:
+    card = read_card(BOX_WEIGHTS)
+    for name in ("commit", "device", "hours", "history", "judged_on"):
+        assert str(card.training.get(name) or "").strip(), name
+    assert re.search(r"\b[0-9a-f]{7,40}\b", str(card.training["commit"]))
+    assert card.network == load_recipe("box").network
+    assert BOX_WEIGHTS.stat().st_size <= 12_000_000
+
+
+def test_the_weights_in_the_box_saw_worlds_alone_and_name_no_photo() -> None:
+    card = read_card(BOX_WEIGHTS)
+    train = card.recipe["train"]
+    assert isinstance(train, Mapping)
+    assert train["worlds"] is True
+    assert card.searched_window is None
+    stages = [section for section in train.values() if isinstance(section, Mapping) and "rehearsed" in section]
+    assert sum(stage["steps"] > 0 and stage["rehearsed"] > 0 for stage in stages) == 1
+    assert {(stage["captured"], stage["retaken"]) for stage in stages} == {(0, 0)}
+    # Nor does any text in the card: no file of a photo, no folder.
+    suffixes = "|".join(re.escape(suffix) for suffix in PHOTO_SUFFIXES | UNREAD_SUFFIXES)
+    named = re.compile(rf"({suffixes})\b|\w/\w|\\", re.IGNORECASE)
+    assert not [text for text in texts_in([card.recipe, card.training]) if named.search(text)]
