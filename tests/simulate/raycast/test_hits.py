@@ -13,20 +13,36 @@ from numpy.typing import NDArray
 from telewide.simulate.raycast.arrange import draw_world
 from telewide.simulate.raycast.casting import first_hit
 from telewide.simulate.raycast.hits import Kind
-from telewide.simulate.raycast.palette import Palette, draw_palette
+from telewide.simulate.raycast.palette import OUTLINE_PX, Palette, draw_palette
 from telewide.simulate.raycast.render import cast_pair
 from telewide.simulate.raycast.world import Camera, Solid, World
 
 RAYS = 160
 FARTHEST = 3.0
+HOLED = 2
+"""Outline that is a disc with a hole."""
+TEXEL = 2 / OUTLINE_PX
 
 
 @pytest.fixture(scope="module")
 def palette() -> Palette:
-    return draw_palette(np.random.default_rng(0), n_textures=4, n_outlines=4)
+    drawn = draw_palette(np.random.default_rng(0), n_textures=4, n_outlines=4)
+    texels = (np.arange(OUTLINE_PX) + 0.5) * TEXEL - 1
+    outlines = drawn.outlines.reshape(4, OUTLINE_PX, OUTLINE_PX).clone()
+    outlines[HOLED] = torch.from_numpy(from_rim(texels[None], texels[:, None]) / TEXEL)
+    return replace(drawn, outlines=outlines.reshape(-1, 1))
 
 
-def random_solid(kind: Kind, world: World, *, seed: int) -> Solid:
+def from_rim(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance of local places from the rim of a disc with a hole beside its middle, positive where a sheet is."""
+    return np.minimum(0.9 - np.hypot(x, y), -into_hole(x, y))
+
+
+def into_hole(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 0.45 - np.hypot(x - 0.25, y + 0.15)
+
+
+def random_solid(kind: Kind, world: World, *, seed: int, outline: int | None = None) -> Solid:
     """A solid in front of the cameras; a plane faces them, a room holds them."""
     rng = np.random.default_rng(seed)
     axis = rng.normal(size=3)
@@ -42,9 +58,8 @@ def random_solid(kind: Kind, world: World, *, seed: int) -> Solid:
         waves = np.array([[0.02, 8.0, 3.0, 0.3], [0.01, -5.0, 12.0, 2.0]]) if seed % 2 else None
     if kind is Kind.ROOM:
         turn, centre, half_size = np.eye(3), np.array([0.0, 0.0, -1.0]), np.array([3.0, 2.0, 2.0])
-    return replace(
-        world.solids[0], kind=kind, turn=turn, centre=centre, half_size=half_size, taper=0.6, waves=waves, outline=None
-    )
+    solid = replace(world.solids[0], kind=kind, turn=turn, centre=centre, half_size=half_size)
+    return replace(solid, taper=0.6, waves=waves, outline=outline if kind is Kind.SHEET else None)
 
 
 def is_inside(solid: Solid, local: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -67,12 +82,9 @@ def is_inside(solid: Solid, local: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def march(solid: Solid, world: World, x_px: float, y_px: float, *, camera: Camera) -> float:
     """First t at which a ray enters, by small steps and bisection."""
-    start = np.array([camera.x, 0, 0])
-    way = np.array([(x_px - camera.centre_px[0]) / world.focal_px, (y_px - camera.centre_px[1]) / world.focal_px, 1.0])
 
     def inside(t: NDArray[np.float64]) -> NDArray[np.bool_]:
-        points = start + t[:, None] * way
-        return is_inside(solid, (points - solid.centre) @ solid.turn / solid.half_size)
+        return is_inside(solid, local_at(t, solid, world, camera=camera, xy_px=(x_px, y_px)))
 
     t = np.linspace(2e-3, FARTHEST, 6001)
     states = inside(t)
@@ -87,9 +99,19 @@ def march(solid: Solid, world: World, x_px: float, y_px: float, *, camera: Camer
         else:
             high = middle
     if solid.kind is Kind.SHEET:
-        local = (start + high * way - solid.centre) @ solid.turn / solid.half_size
-        return high if np.abs(local[:2]).max() < 1 else math.inf
+        x, y, _ = local_at(np.array([high]), solid, world, camera=camera, xy_px=(x_px, y_px))[0]
+        is_there = max(abs(x), abs(y)) < 1 if solid.outline is None else from_rim(x, y) > 0
+        return high if is_there else math.inf
     return float(high)
+
+
+def local_at(
+    t: NDArray[np.float64], solid: Solid, world: World, *, camera: Camera, xy_px: tuple[float, float]
+) -> NDArray[np.float64]:
+    """(n, 3) places on a ray, in a solid's coordinates."""
+    x, y = (np.array(xy_px) - camera.centre_px) / world.focal_px
+    points = np.array([camera.x, 0, 0]) + t[:, None] * np.array([x, y, 1.0])
+    return (points - solid.centre) @ solid.turn / solid.half_size
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -111,16 +133,42 @@ def test_a_ray_ends_where_marching_along_it_ends(kind: Kind, seed: int, palette:
     np.testing.assert_allclose(found[both], expected[both], atol=2e-5)
 
 
-@pytest.mark.parametrize(
-    "kinds", [(Kind.ELLIPSOID, Kind.CONE, Kind.ROOM), (Kind.BOX, Kind.SHEET, Kind.ROOM), (Kind.ELLIPSOID, Kind.PLANE)]
-)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ray_through_the_hole_of_a_sheet_goes_on_and_one_beside_it_ends(seed: int, palette: Palette) -> None:
+    """Within a texel of the rim it may be told either way."""
+    rng = np.random.default_rng(seed)
+    world = draw_world(rng, palette, hw=(64, 96), disparities_px=(2.0, 20.0))
+    camera = (world.ref, world.src)[seed % 2]
+    cut = random_solid(Kind.SHEET, world, seed=seed, outline=HOLED)
+    xy = rng.uniform(0, [96, 64], (2 * RAYS, 2))
+    found = first_hit(cut, *torch.from_numpy(xy).unbind(dim=1), camera=camera, palette=palette).numpy()
+    whole = replace(cut, kind=Kind.PLANE)
+    met = np.array([march(whole, world, *of, camera=camera) for of in xy])
+    places = [local_at(np.array([t]), cut, world, camera=camera, xy_px=of)[0] for t, of in zip(met, xy, strict=True)]
+    x, y, _ = np.array(places).T
+    ends, goes_on = from_rim(x, y) > TEXEL, from_rim(x, y) < -TEXEL
+    np.testing.assert_allclose(found[ends], met[ends], atol=2e-5)
+    assert np.isinf(found[goes_on]).all()
+    assert min(ends.sum(), (into_hole(x, y) > TEXEL).sum()) > 5
+
+
+CAST = [
+    ((Kind.ELLIPSOID, Kind.CONE, Kind.ROOM), None),
+    ((Kind.BOX, Kind.SHEET, Kind.ROOM), None),
+    ((Kind.ELLIPSOID, Kind.PLANE), None),
+    ((Kind.ELLIPSOID, Kind.SHEET, Kind.ROOM), HOLED),
+]
+
+
+@pytest.mark.parametrize(("kinds", "outline"), CAST)
 def test_disparity_of_a_cast_pair_is_that_of_the_nearest_place_where_marching_ends(
-    kinds: tuple[Kind, ...], palette: Palette
+    kinds: tuple[Kind, ...], outline: int | None, palette: Palette
 ) -> None:
     """A pair is cast in single precision."""
     rng = np.random.default_rng(1)
     drawn = draw_world(rng, palette, hw=(64, 96), disparities_px=(2.0, 20.0))
-    world = replace(drawn, solids=tuple(random_solid(kind, drawn, seed=3 + n) for n, kind in enumerate(kinds)))
+    solids = tuple(random_solid(kind, drawn, seed=3 + n, outline=outline) for n, kind in enumerate(kinds))
+    world = replace(drawn, solids=solids)
     found_px = cast_pair(world, palette).disparity_px.numpy()
     y, x = rng.integers(0, 64, RAYS), rng.integers(0, 96, RAYS)
     depth = np.array(
