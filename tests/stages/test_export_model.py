@@ -159,9 +159,13 @@ def test_a_model_of_any_size_computes_what_torch_does(name: str, window: Window,
 
 @needs_onnx
 @pytest.mark.slow
-def test_a_model_of_the_network_in_the_box_computes_what_torch_does(tmp_path: Path) -> None:
-    done = stage.export_model(BOX_WEIGHTS, tmp_path / "m.onnx", window=(0, 32), tell=lambda text: None)
-    assert len({comparison.hw for comparison in done.comparisons}) == 2
+@pytest.mark.parametrize(("window", "hw"), [((0, 32), None), ((-12, 4), (72, 104))])
+def test_a_model_of_the_network_in_the_box_computes_what_torch_does(
+    window: Window, hw: tuple[int, int] | None, tmp_path: Path
+) -> None:
+    """Of any size, checked at two, and of one size to which it pads by itself."""
+    done = stage.export_model(BOX_WEIGHTS, tmp_path / "m.onnx", window=window, hw=hw, tell=lambda text: None)
+    assert len({comparison.hw for comparison in done.comparisons}) == (1 if hw else 2)
     assert max(comparison.differing for comparison in done.comparisons) < 0.01
 
 
