@@ -9,6 +9,8 @@ Letters: H W image; h w grid of cells.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -33,6 +35,9 @@ LEAST_SURE, SURER = 0.3, 1.4
 """Median confidence of a wall at the least; and how many times as sure as a cell that goes to it."""
 LEAST_WALL, LEAST_REGION = 0.02, 0.01
 """Shares of all cells that a wall holds at the least, and a region that goes to one."""
+WALL_TOLERANCE_PX = 2.5
+"""Distance from its surface within which a cell is a wall's own, at the most: a wall that takes in the slope from itself
+to the thing before it bends towards that."""
 RANGE_PERCENT, BACKGROUND = (5, 95), 0.5
 """Percentiles of all disparities, and the farthest part of the range between them, where walls are backdrops."""
 PLAIN = 0.02
@@ -130,9 +135,10 @@ def _walls(cells: Cells) -> list[Piece]:
     """Large pieces that are sure, and as far as anything is."""
     low_px, high_px = np.percentile(cells.disparity_px, RANGE_PERCENT)
     farthest_px = low_px + BACKGROUND * (high_px - low_px)
+    tight = replace(cells, tolerance_px=np.minimum(cells.tolerance_px, np.float32(WALL_TOLERANCE_PX)))
     return [
         piece
-        for piece in find_pieces(cells)
+        for piece in find_pieces(tight)
         if piece.inside.mean() >= LEAST_WALL
         and _sureness(piece, cells) >= LEAST_SURE
         and np.median(cells.disparity_px[piece.inside]) <= farthest_px

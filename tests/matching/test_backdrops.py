@@ -88,6 +88,21 @@ def test_a_bent_wall_at_the_side_of_the_picture_goes_on_in_its_slope() -> None:
     assert np.abs(moved - (4 + 0.02 * rows[:, : LEFT - 2])).max() < 1
 
 
+def test_a_wall_does_not_bend_along_what_leads_from_it_to_the_thing() -> None:
+    """Above a thing the wall is unsure and rises, px by px, from its own disparity to that of the thing."""
+    x, above = columns(), np.arange(HW[0])[:, None] < 90
+    ref, src = (np.where(above[..., None], view[:1, -1:], view) for view in views())
+    rising_px = np.interp(x, (20, 260), (THING_PX, WALL_PX)).astype(np.float32)
+    sure = np.where(x < LEFT, np.float32(0.2), np.where(is_thing(), np.float32(0.9), np.float32(0.6)))
+    found = DisparityMap(
+        np.where(above, rising_px, stuck().disparity_px),
+        np.where(above & (x < 260), np.float32(0.25), sure),
+        stuck().valid,
+    )
+    made = with_backdrops(found, ref, src)
+    assert np.abs(made.disparity_px[95:, : LEFT - 2] - WALL_PX).max() < 1
+
+
 def test_sure_pixels_of_a_thing_of_the_walls_colour_stay_at_its_rim() -> None:
     ref, src = views()
     x = columns()
