@@ -111,7 +111,7 @@ class TestFiles:
             disparity_px = read_pfm(folder / "disparity.pfm")
             assert disparity_px[y, x] == pytest.approx(numbers["focus_px"], abs=0.5)
             note = next(note for note in kept["notes"] if "bokeh" in note)
-            assert note.startswith(f"{folder.name}: bokeh is focused on x {x}, y {y}")
+            assert note.startswith(f"{folder.name}: the bokeh was focused on x {x}, y {y}")
             assert f"{disparity_px[y, x]:.1f} px" in note
 
     def test_the_run_records_what_was_asked_for(self, matched: Path, simulated: Path) -> None:
@@ -291,7 +291,7 @@ class TestBokehOptions:
         check_bokeh(wide_open, stated)
         with pytest.raises(UsageError, match="captures") as refused:
             check_bokeh(wide_open, unstated)
-        assert "baseline_m in captures.yaml" in str(refused.value.hint)
+        assert "baseline_m in " in str(refused.value.hint)
         with pytest.raises(UsageError, match="the rig") as refused:
             check_bokeh(wide_open, stated, has_rig=True)
         assert "`distance`" in str(refused.value.hint)

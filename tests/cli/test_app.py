@@ -126,7 +126,7 @@ def test_pairs_without_matches_and_without_a_rig_are_sent_to_the_calibration(
     for name in ("tele", "wide"):
         write_image(tmp_path / "captures" / "one" / f"{name}.png", rng.random((120, 160, 3)).astype(np.float32))
     monkeypatch.chdir(tmp_path)
-    names = ("telewide calibrate CAPTURES --from-scenes", "one: 0 consistent matches")
+    names = ("telewide calibrate captures --from-scenes", "one: 0 consistent matches")
     for words in (("depth", "--method", "sgm"), ("run", "--recipe", "quick")):
         refused(capsys, *words, code=3, names=names)
 
