@@ -36,7 +36,7 @@ LEAST_SURE, SURER = 0.3, 1.4
 LEAST_WALL, LEAST_REGION = 0.02, 0.01
 """Shares of all cells that a wall holds at the least, and a region that goes to one."""
 WALL_TOLERANCE_PX = 2.5
-"""Distance from its surface within which a cell is a wall's own, at the most: a wall that takes in the slope that leads to
+"""Distance from its surface within which a cell is a wall's own, at the most: one that takes in the slope that leads to
 the thing before it bends towards that."""
 RANGE_PERCENT, BACKGROUND = (5, 95), 0.5
 """Percentiles of all disparities, and the farthest part of the range between them, where walls are backdrops."""
