@@ -13,6 +13,7 @@ from telewide.matching.even_surfaces import even_surfaces
 from telewide.matching.lookalikes import follow_lookalikes
 
 _MOVED_PX = 0.02
+"""Distance from which on a pixel counts as moved."""
 _BORNE_OUT = (0.25, 0.65)
 """Confidence of a pixel that lies on a surface, by its own: a base, and the share of its own. Fitted, as the next, to
 how many of such pixels are right within 1 px in 22 scenes at three factors (``docs/decisions.md``, "Three sizes")."""
