@@ -9,7 +9,7 @@ Letters: H W image; h w grid of cells.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,10 +28,10 @@ from telewide.matching.pieces import (
     mean_around,
 )
 
-UNSURE, HARDLY_SURE, SURE = 0.4, 0.5, 0.9
+UNSURE, HARDLY_SURE, SURE = 0.4, 0.55, 0.9
 """Confidence below which cells go to a wall; below which plain cells that hang together with them go along; and from
 which on a pixel stays in any case."""
-LEAST_SURE, SURER = 0.3, 1.4
+LEAST_SURE, SURER = 0.12, 1.1
 """Median confidence of a wall at the least; and how many times as sure as a cell that goes to it."""
 LEAST_WALL, LEAST_REGION = 0.02, 0.01
 """Shares of all cells that a wall holds at the least, and a region that goes to one."""
@@ -50,8 +50,9 @@ RIM_PX = 12
 """Reach beyond its cells within which a region takes in pixels of its colour."""
 SMOOTH_PX, HIDDEN_BY_PX = 2.0, 2.0
 """Before views are compared they are smoothed; and a pixel is hidden from src by one that is nearer by this."""
-MISFIT, MISFIT_BY = 1.1, 0.5 / 255
-"""A wall may fit worse than what was found by this factor and this difference of colour."""
+MISFIT, MISFIT_BY, UNEVEN_BY = 1.3, 0.5 / 255, 0.08 / 255
+"""A wall may fit worse than what was found by this factor and this difference of colour, and more unevenly by the last:
+lenses change the colour of a whole region, and what varies within it tells where it belongs."""
 LEAST_PX, LEAST_SEEN, STILL_SEEN = 16, 0.2, 0.5
 """Pixels, and share of a region seen by src, that tell how it fits; half of it has to be seen at the wall too."""
 
@@ -186,12 +187,10 @@ def _borne_out(disparity_px: FloatMap, moved_px: FloatMap, ref: FloatImage, src:
     inner = region * cv2.erode(is_moved.astype(np.uint8), np.ones((4 * round(SMOOTH_PX) + 1,) * 2))
     size = np.bincount(inner.ravel(), minlength=count)
     smooth = [_smooth(view) for view in (ref, src)]
-    (seen_before, misfit_before), (seen, misfit) = (
-        _misfit(px, *smooth, region=inner, count=count) for px in (disparity_px, moved_px)
-    )
-    is_seen_before, is_seen = (n >= np.maximum(LEAST_PX, LEAST_SEEN * size) for n in (seen_before, seen))
-    fits = misfit <= MISFIT * misfit_before + MISFIT_BY
-    is_borne_out = np.where(is_seen_before, (seen >= STILL_SEEN * seen_before) & fits, fits | ~is_seen)
+    before, after = (_misfit(px, *smooth, region=inner, count=count) for px in (disparity_px, moved_px))
+    is_seen_before, is_seen = (fit.seen >= np.maximum(LEAST_PX, LEAST_SEEN * size) for fit in (before, after))
+    fits = (after.mean <= MISFIT * before.mean + MISFIT_BY) & (after.uneven <= before.uneven + UNEVEN_BY)
+    is_borne_out = np.where(is_seen_before, (after.seen >= STILL_SEEN * before.seen) & fits, fits | ~is_seen)
     is_borne_out[0] = False
     return np.asarray(is_borne_out[region])
 
@@ -200,10 +199,22 @@ def _smooth(view: FloatImage) -> FloatImage:
     return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(view), (0, 0), SMOOTH_PX), dtype=np.float32)
 
 
-def _misfit(
-    disparity_px: FloatMap, ref: FloatImage, src: FloatImage, *, region: IntArray, count: int
-) -> tuple[IntArray, FloatArray]:
-    """For each region the pixels that src sees, and their mean difference of colour; 0 where it sees none."""
+@dataclass(frozen=True)
+class _Misfit:
+    """Differences of colour between the views, of each region; 0 where src sees none of it.
+
+    Attributes:
+        seen: pixels that src sees.
+        mean: of their absolute differences.
+        uneven: mean absolute deviation of their differences from the region's mean difference.
+    """
+
+    seen: IntArray
+    mean: FloatArray
+    uneven: FloatArray
+
+
+def _misfit(disparity_px: FloatMap, ref: FloatImage, src: FloatImage, *, region: IntArray, count: int) -> _Misfit:
     height, width = disparity_px.shape
     row, column = np.indices((height, width), dtype=np.float32)
     there = column - disparity_px
@@ -216,7 +227,11 @@ def _misfit(
     is_seen = is_inside.copy()
     is_seen[is_inside] = front_px[at] < disparity_px[is_inside] + HIDDEN_BY_PX
     warped = cv2.remap(src, there, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    off = np.abs(warped - ref).mean(axis=2)[is_seen]
-    seen = np.bincount(region[is_seen], minlength=count)
-    total = np.bincount(region[is_seen], weights=off, minlength=count)
-    return seen, total / np.maximum(seen, 1)
+    off, region = (warped - ref)[is_seen], region[is_seen]
+    seen = np.bincount(region, minlength=count)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(region, weights=values, minlength=count) / np.maximum(seen, 1))
+
+    centre = np.stack([mean(channel) for channel in off.T], axis=1)
+    return _Misfit(seen, mean(np.abs(off).mean(axis=1)), mean(np.abs(off - centre[region]).mean(axis=1)))

@@ -121,6 +121,16 @@ def test_what_is_of_the_walls_colour_and_fits_where_it_was_stays() -> None:
     np.testing.assert_array_equal(made.disparity_px, found.disparity_px)
 
 
+def test_a_faint_texture_decides_though_colours_differ_as_a_whole() -> None:
+    """A tenth of the misfit comes and goes with where the region is put, the rest is one lens against another."""
+    found = stuck()
+    ref, src = views(height=0.004, left_px=THING_PX)
+    np.testing.assert_array_equal(with_backdrops(found, ref, src + np.float32(0.03)).disparity_px, found.disparity_px)
+    ref, src = views(height=0.004)
+    made = with_backdrops(found, ref, src + np.float32(0.03))
+    assert np.abs(made.disparity_px[:, : LEFT - 2] - WALL_PX).max() < 0.1
+
+
 def test_what_has_another_colour_stays() -> None:
     ref, src = views()
     for view in (ref, src):
