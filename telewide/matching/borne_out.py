@@ -79,6 +79,7 @@ def _misfit(disparity_px: FloatMap, ref: FloatImage, src: FloatImage, *, region:
     front_px = np.asarray(cv2.dilate(front_px, np.ones((4 * round(SMOOTH_PX) + 1,) * 2)), dtype=np.float32)
     is_seen = is_inside.copy()
     is_seen[is_inside] = front_px[at] < disparity_px[is_inside] + HIDDEN_BY_PX
+    is_seen &= region > 0  # all the rest did not move
     warped = cv2.remap(src, there, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     off, region = (warped - ref)[is_seen], region[is_seen]
     seen = np.bincount(region, minlength=count)

@@ -14,7 +14,7 @@ from telewide.matching.lookalikes import follow_lookalikes
 
 _MOVED_PX = 0.02
 """Distance from which on a pixel counts as moved."""
-_BORNE_OUT = (0.25, 0.65)
+_BORNE_OUT = (0.28, 0.62)
 """Confidence of a pixel that lies on a surface, by its own: a base, and the share of its own. Fitted, as the next, to
 how many of such pixels are right within 1 px in 22 scenes at three factors (``docs/decisions.md``, "Three sizes")."""
 _AT_MOST = ((0.5, 0.75, 1.0, 1.5, 2.0), (1.0, 0.9, 0.75, 0.55, 0.42))
