@@ -274,23 +274,26 @@ def test_training_says_how_to_go_on_from_it(
     assert "next: telewide depth captures --bokeh" in capsys.readouterr().err.splitlines()
 
 
-@pytest.mark.parametrize("words", [("train",), ("run", "--recipe", "quick")])
 def test_a_training_of_another_recipe_is_answered_with_the_call_that_starts_over(
-    words: tuple[str, ...], captures: Path, capsys: pytest.CaptureFixture[str]
+    captures: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """--fresh is an option of train alone; the rest of the call is kept."""
     few = ("--set", "train.rehearsal.steps=0", "--set", "train.feature.steps=0", "--set", "train.photometric.steps=1")
     crops = ("--set", "train.crop_hw=[64, 64]", "--set", "train.photometric.captured=1", "--set", "train.stages=0")
     assert run_cli("train", "--out", "my run", *few, *crops, "--seed", "1", "--quiet") == 0
     capsys.readouterr()
-    anew = f"start over: telewide train captures --out 'my run'{' --recipe quick' if 'quick' in words else ''} --seed 2"
-    refused(capsys, *words, "--out", "my run", "--seed", "2", code=2, names=("another recipe", f"{anew} --fresh\n"))
+
+    def answered(code: int, name: str) -> None:
+        for words, recipe in ((("train",), ""), (("run", "--recipe", "quick"), " --recipe quick")):
+            anew = f"start over: telewide train captures --out 'my run'{recipe} --seed 2 --fresh\n"
+            refused(capsys, *words, "--out", "my run", "--seed", "2", code=code, names=(name, anew))
+
+    answered(2, "another recipe")
     (Path("my run") / "train" / "training.json").write_text("{")
-    refused(capsys, *words, "--out", "my run", "--seed", "2", code=3, names=("corrupt", f"{anew} --fresh\n"))
-    state_file = Path("my run") / "train" / "state.pt"
-    state_file.write_bytes(b"torn")
+    answered(3, "corrupt")
+    (Path("my run") / "train" / "state.pt").write_bytes(b"torn")
     (Path("my run") / "train" / "training.json").unlink()
-    refused(capsys, *words, "--out", "my run", "--seed", "2", code=3, names=("state.pt", f"{anew} --fresh\n"))
+    answered(3, "state.pt")
 
 
 def layouts(folder: Path, kind: str) -> tuple[Path, str]:

@@ -64,6 +64,9 @@ NO_WORKERS = "telewide.stages.train.workers_for = lambda device: 0; "
 RUN = "import sys; from telewide.cli import main; main(sys.argv[1:])"
 
 
+SHORT = ("train.rehearsal.steps=1", "train.photometric.steps=0", "train.stages=0")
+
+
 class Observer(Heard):
     """Hears the training, and not the rest."""
 
@@ -216,8 +219,7 @@ def test_what_is_held_out_is_never_trained_on(
 ) -> None:
     """Of three captures one is kept for judging: crops come from the two others, and the judge asks that one alone."""
     monkeypatch.setattr(telewide.stages.training_record, "FEWEST_TO_HOLD_OUT", 3)
-    short = ("train.rehearsal.steps=1", "train.photometric.steps=0", "train.stages=0")
-    run_training(captures, tmp_path / "run", tiny(*short, path=recipe_path))
+    run_training(captures, tmp_path / "run", tiny(*SHORT, path=recipe_path))
     record = read_training(RunFolder(tmp_path / "run"))
     assert record is not None
     assert len(record.held_out) == 1
@@ -242,16 +244,16 @@ def test_ground_truth_is_not_read_in_training(captures: Path, tmp_path: Path, re
 
 def test_another_recipe_is_refused_by_the_names_of_its_keys(captures: Path, tmp_path: Path, recipe_path: Path) -> None:
     run = tmp_path / "run"
-    run_training(captures, run, tiny(path=recipe_path))
+    run_training(captures, run, tiny(*SHORT, path=recipe_path))
     before = (run / "train" / "state.pt").read_bytes()
-    other = tiny("train.photometric.alpha=1.5", "network=psmnet-s", path=recipe_path)
+    other = tiny(*SHORT, "train.photometric.alpha=1.5", "network=psmnet-s", path=recipe_path)
     with pytest.raises(UsageError) as raised:
         run_training(captures, run, other)
     assert "train.photometric.alpha" in raised.value.message
     assert "network" in raised.value.message
     assert "--fresh" in str(raised.value.hint)
     assert (run / "train" / "state.pt").read_bytes() == before
-    renamed = tiny("description=the same in other words", path=recipe_path)
+    renamed = tiny(*SHORT, "description=the same in other words", path=recipe_path)
     assert not run_training(captures, run, renamed).is_new
 
 
@@ -389,7 +391,7 @@ def test_new_captures_do_not_change_the_judge(captures: Path, tmp_path: Path, re
 def test_a_training_without_its_judge_or_its_pictures_is_refused(
     captures: Path, tmp_path: Path, recipe_path: Path
 ) -> None:
-    run, recipe = tmp_path / "run", tiny(path=recipe_path)
+    run, recipe = tmp_path / "run", tiny(*SHORT, path=recipe_path)
     for name in ("003", "004"):
         add_capture(captures, tmp_path / f"more_{name}", name=name)
     run_training(captures, run, recipe)
@@ -594,7 +596,7 @@ def test_a_stop_while_starting_over_leaves_no_state_of_another_record(
 ) -> None:
     """Whatever is removed first: as long as something is left, so is the record it was made by."""
     run = RunFolder(tmp_path / "run")
-    run_training(captures, run.root, tiny(path=recipe_path))
+    run_training(captures, run.root, tiny(*SHORT, path=recipe_path))
     remove, names = Path.unlink, [path.name for path in run.train.iterdir()]
 
     def noted(path: Path, **kwargs: bool) -> None:

@@ -56,7 +56,7 @@ ROWS = {
     "of-the-box": small_row("train.rehearsal.rehearsed=1", network="guided", recipe="default", corrects=True),
 }
 
-SLOW = {"restored", "of-the-box"}
+SLOW = {"restored", "of-the-box", "auto-encoder"}
 
 
 @pytest.fixture(scope="module")
