@@ -31,7 +31,7 @@ from telewide.pages.report import CaptureLink, NextStep, ReportRow, thumbnail, w
 from telewide.pages.viewed import Metric, Opening, viewed_capture
 from telewide.srgb import srgb_from_linear
 
-SIDE = 128
+SIDE = 96
 SIDES = ("width", "height")
 METRIC = Metric(scale_px_m=12.0, doffs_px=2.0, baseline_m=0.02)
 DONE = "canvas[data-done='1']"

@@ -149,10 +149,10 @@ def test_a_model_that_differs_is_refused() -> None:
 
 @needs_onnx
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "window"), [("guided", (-20, 12)), ("lite", (-4, 20))])
-def test_a_model_of_any_size_computes_what_torch_does(name: str, window: Window, tmp_path: Path) -> None:
+def test_a_model_of_any_size_computes_what_torch_does(tmp_path: Path) -> None:
     """At two sizes: the command refuses to write what differs at more than one pixel in a hundred."""
-    done = stage.export_model(weights_of(name, tmp_path), tmp_path / "m.onnx", window=window, tell=lambda text: None)
+    weights = weights_of("lite", tmp_path)
+    done = stage.export_model(weights, tmp_path / "m.onnx", window=(-4, 20), tell=lambda text: None)
     assert len({comparison.hw for comparison in done.comparisons}) == 2
     assert done.path.stat().st_size < 16e6
 

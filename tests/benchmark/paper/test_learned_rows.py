@@ -215,7 +215,7 @@ def test_without_scenes_to_learn_from_a_row_says_so(data: Path, out: Path) -> No
 def test_every_row_learns_and_is_judged(data: Path, out: Path, name: str) -> None:
     is_large = name in {"rcan-basenet", "dan-basenet", "iresnet", "psmnet", "ours-trained"}
     cells = Cells(out, Told())
-    ((_, rows),) = cells.rows([cell_of(data, name, task_of(data, steps=4 if is_large else 20))])
+    ((_, rows),) = cells.rows([cell_of(data, name, task_of(data, steps=2 if is_large else 8))])
     assert cells.problems == []
     expected = {""} if name.endswith("-space") else {"last", "best"}
     assert {row["weights"] for row in rows} == expected
