@@ -11,6 +11,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +199,10 @@ class PairReader:
     def __init__(self, *, max_bytes: int = 1 << 30) -> None:
         self._max_bytes = max_bytes
         self._kept: OrderedDict[Capture, RectifiedPair] = OrderedDict()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Another process reads for itself: what is kept here does not travel."""
+        return partial(PairReader, max_bytes=self._max_bytes), ()
 
     @property
     def kept_bytes(self) -> int:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import resource_tracker
 
@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
+from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 
 from telewide.capture.pair import Capture, read_pair
-from telewide.errors import MissingPartError, UsageError
+from telewide.errors import MissingPartError, TelewideError, UsageError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import ValidMasks
 from telewide.matching.inference import enlarged_size
@@ -28,6 +29,8 @@ from telewide.training.stages import Stage
 from telewide.training.world_samples import WorldBatches, WorldSource, damaged_crops, enlarged_crop, worlds_for
 
 _REHEARSED, _CAPTURED = 0, 1
+_ENDED_WORKER = "DataLoader worker (pid"
+"""How torch begins the message that a worker process was ended from outside."""
 
 Source = SampleSource | WorldSource
 """Where crops come from."""
@@ -135,14 +138,15 @@ def step_batches(source: Source, stage: Stage, *, seed: int, rank: int, world: i
     return StepBatches(source, stage, seed=seed, rank=rank, world=world)
 
 
-def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Iterator[Batch]:
+def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Generator[Batch, None, None]:
     """Yield the batches from ``first_step`` to the end of the stage, prepared ahead by worker processes.
 
     Raises:
         MissingPartError: the system ended one of them, as it does where memory runs out.
+        TelewideError: a capture that a batch needs can no longer be used.
     """
     loader = DataLoader(
-        dataset,
+        _Told(dataset),
         batch_size=None,
         sampler=range(first_step, len(dataset)),
         num_workers=workers,
@@ -154,14 +158,42 @@ def iterate_batches(dataset: Batches, *, first_step: int, workers: int) -> Itera
     with _interrupts_held():  # which worker processes inherit: this process alone answers Ctrl-C and SIGTERM
         batches = iter(loader)
     try:
-        yield from batches
+        for batch in batches:
+            if isinstance(batch, TelewideError):
+                raise batch
+            yield batch
     except (RuntimeError, ConnectionError, EOFError) as error:  # torch's own words, or a batch that was on its way
-        if isinstance(error, RuntimeError) and "DataLoader worker" not in str(error):
+        if isinstance(error, RuntimeError) and not str(error).startswith(_ENDED_WORKER):
             raise
         raise MissingPartError(
             "a process that prepares crops was ended by the system, which often means that memory ran out",
             hint="close other programs, or make crops smaller (`set` train.crop_hw=[H,W]); the same command goes on",
         ) from error
+    finally:
+        if isinstance(batches, _MultiProcessingDataLoaderIter):
+            # A worker that is told to end while it hands a batch on may abort. Nobody needs it, but where the garbage
+            # collector ends it torch prints a traceback.
+            with suppress(RuntimeError):
+                batches._shutdown_workers()
+
+
+class _Told(Dataset[Batch | TelewideError]):
+    """Batches, or as a value the error of a user that kept one from being made.
+
+    Raised in a worker process it would arrive with a traceback for its message.
+    """
+
+    def __init__(self, batches: Batches) -> None:
+        self._batches = batches
+
+    def __len__(self) -> int:
+        return len(self._batches)
+
+    def __getitem__(self, step: int) -> Batch | TelewideError:
+        try:
+            return self._batches[step]
+        except TelewideError as error:
+            return error
 
 
 @contextmanager

@@ -294,7 +294,8 @@ def _random_box(hw: tuple[int, ...], source: SampleSource, rng: np.random.Genera
     middle_px = sum(source.window_px) / 2
     shift_px = round(middle_px * (1 - source.enlargement * box_w / crop_w))
     if abs(shift_px) > end_x - first_x - box_w:  # no room in src: as it is, or as near to that as the picture allows
-        box_h, box_w, shift_px = min(crop_h, hw[0]), min(crop_w, end_x - first_x), 0
+        box_h = min(int(crop_h / source.enlargement), hw[0])
+        box_w, shift_px = min(int(crop_w / source.enlargement), end_x - first_x), 0
     low_x, high_x = first_x + max(0, shift_px), end_x - box_w + min(0, shift_px)
     x = low_x + int(rng.integers(0, high_x - low_x + 1))
     y = int(rng.integers(0, max(1, hw[0] - box_h + 1)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import pickle
 from pathlib import Path
 
 import cv2
@@ -135,6 +136,14 @@ def test_reader_reads_a_pair_larger_than_its_budget(tmp_path: Path) -> None:
     reader = PairReader(max_bytes=10)
     assert reader.read(capture_of(tmp_path, noise((40, 60)), noise((40, 60), 1))).tele.shape == (40, 60, 3)
     assert reader.kept_bytes == 0
+
+
+def test_a_reader_travels_without_its_pictures(tmp_path: Path) -> None:
+    reader = PairReader(max_bytes=10**6)
+    reader.read(capture_of(tmp_path, noise((40, 60)), noise((40, 60), 1)))
+    sent = pickle.dumps(reader)
+    assert len(sent) < 1000
+    assert pickle.loads(sent).kept_bytes == 0
 
 
 def test_truth_is_read_with_its_size_checked(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from training.small import CROP_HW, WINDOW, rendered, source_of, stage_of
 from telewide.capture.images import write_image
 from telewide.capture.pair import Capture
 from telewide.capture.pfm import write_pfm
-from telewide.errors import MissingPartError
+from telewide.errors import MissingPartError, UsageError
 from telewide.simulate.raycast import patterns
 from telewide.training import world_samples
 from telewide.training.data import StepBatches, iterate_batches
@@ -119,6 +119,29 @@ def test_a_worker_process_that_the_system_ends_is_told(source: SampleSource) -> 
     worker.kill()
     with pytest.raises(MissingPartError, match="ended by the system"):
         list(batches)
+
+
+@pytest.mark.slow
+def test_worker_processes_end_with_the_batches(source: SampleSource, capfd: pytest.CaptureFixture[str]) -> None:
+    """Without a traceback, whatever they were doing."""
+    for _ in range(3):
+        batches = iterate_batches(StepBatches(source, stage_of(steps=500, captured=1), seed=1), first_step=0, workers=1)
+        next(batches)
+        batches.close()
+        assert multiprocessing.active_children() == []
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_what_a_user_did_arrives_as_it_was_said(source: SampleSource) -> None:
+    gone = tuple(replace(capture, tele_path=Path("gone.png")) for capture in source.captures)
+    batches = StepBatches(replace(source, captures=gone), stage_of(steps=9, captured=1), seed=1)
+    said = []
+    for workers in (0, 1):
+        with pytest.raises(UsageError) as caught:
+            list(iterate_batches(batches, first_step=0, workers=workers))
+        said.append((caught.value.message, caught.value.hint))
+    assert said[0] == said[1]
 
 
 def test_batches_go_on_where_they_were_left(source: SampleSource) -> None:
@@ -402,6 +425,19 @@ def test_zoomed_crops_stay_in_a_window_far_from_zero(
         seen = (x_src_px > 1) & (x_src_px < CROP_HW[1] - 2)
         if seen.sum() > 200:
             assert warp_error(sample, sample.truth_px, seen) < 0.02
+
+
+def test_crops_without_room_beside_them_keep_their_window(tmp_path: Path) -> None:
+    """A window so far from zero that a zoomed crop would leave src: disparities are still those of its enlargement."""
+    hw, window = (96, 130), (190, 200)
+    capture = Capture("far", tmp_path / "tele.png", tmp_path / "wide.png")
+    for seed, path in enumerate((capture.tele_path, capture.wide_path)):
+        write_image(path, np.random.default_rng(seed).random((*hw, 3), dtype=np.float32))
+    write_pfm(disparity_path(tmp_path / "far", window_px=window), np.full(hw, 195, dtype=np.float32))
+    source = SampleSource((capture,), crop_hw=CROP_HW, window_px=window, enlargement=1.5, disparities_folder=tmp_path)
+    for index in range(8):
+        truth_px = crop_capture(source, rng=generator_for(0, index), may_swap=False).truth_px
+        assert source.volume_px[0] <= truth_px.min() <= truth_px.max() < source.volume_px[1]
 
 
 @pytest.mark.parametrize(
