@@ -5,7 +5,6 @@ Letters: B batch, C channels, H W image.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -24,6 +23,7 @@ from telewide.errors import MissingPartError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import DisparityMap, ValidMasks, without_unphotographed
 from telewide.matching.networks import SIZE_MULTIPLE_PX, StereoNetwork, prepare_view
+from telewide.matching.other_view import enlarged_size, sharpened
 from telewide.matching.readout import AGREEMENT_PX, learned_confidence, left_right_gap_px, measured_confidence
 from telewide.matching.refinement import refine
 from telewide.matching.sampling import pad_to_multiple
@@ -32,13 +32,6 @@ from telewide.matching.window import Window, check_window, scaled_window
 GRID_PX = 4 * SIZE_MULTIPLE_PX
 """Images are padded to multiples of this, and tiles begin at them: psmnet-s pools over cells of this size."""
 MAX_TILE_PIXELS = 2_500_000
-ENLARGED_TO_PIXELS, MOST_ENLARGED = 1280 * 640, 1.5
-"""Smaller views are enlarged up to this before a network with cells of 4 px matches them: cells are too coarse for all
-that small pictures show."""
-LEAST_DETAIL = 1 / 7
-"""Of ref's detail, that src must have: where it is coarser, larger views show no more. All views 4 times as coarse have
-more, none 8 times as coarse (Middlebury, KITTI)."""
-DETAIL_SIGMA_PX = 1.0
 SAME_SURFACE_PX = 0.5
 LEAST_BF16_GAIN = 1.2
 _may_use_bf16: ContextVar[bool] = ContextVar("may_use_bf16", default=True)
@@ -145,41 +138,23 @@ def match_with_network(
         raise ValueError(f"ref {ref.shape} and src {src.shape} must be (H, W, 3) of one size")
     check_window(window)
     network.eval()
-    hw = ref.shape[:2]
-    enlarged_hw = enlarged_size(ref, src, network=network)
-    if enlarged_hw == hw:
+    if not network.has_confidence:
         found = _match_views(ref, src, network=network, window=window, max_tile_pixels=max_tile_pixels)
+        return without_unphotographed(found, valid)
+    hw, enlarged_hw = ref.shape[:2], enlarged_size(src)
+    views, scale = (ref, sharpened(src, like=ref)), enlarged_hw[1] / hw[1]
+    if enlarged_hw == hw:
+        found = _match_views(*views, network=network, window=window, max_tile_pixels=max_tile_pixels)
     else:
-        scale = enlarged_hw[1] / hw[1]
-        views = (_enlarged(view, enlarged_hw) for view in (ref, src))
         larger = _match_views(
-            *views, network=network, window=scaled_window(window, scale), max_tile_pixels=max_tile_pixels
+            *(_enlarged(view, enlarged_hw) for view in views),
+            network=network,
+            window=scaled_window(window, scale),
+            max_tile_pixels=max_tile_pixels,
         )
         found = _shrunken(larger, hw)
     found = without_unphotographed(found, valid)  # before, so that no wall is looked for beyond a photo
-    return without_unphotographed(refine(found, ref, src), valid) if network.has_confidence else found
-
-
-def enlarged_size(ref: FloatImage, src: FloatImage, *, network: StereoNetwork) -> tuple[int, int]:
-    """The height and width at which a network matches two views, px: larger than their own where they are small.
-
-    Args:
-        ref: (H, W, 3) sharp view.
-        src: (H, W, 3) other view.
-        network: only those with a confidence of their own gain by it.
-    """
-    height, width = ref.shape[:2]
-    scale = min(MOST_ENLARGED, math.sqrt(ENLARGED_TO_PIXELS / (height * width)))
-    if scale <= 1 or not network.has_confidence or _detail(src) < LEAST_DETAIL * _detail(ref):
-        return height, width
-    return round(scale * height), round(scale * width)
-
-
-def _detail(view: FloatImage) -> float:
-    """Mean distance of a view from its blurred self, in standard deviations of the view."""
-    grey = cv2.cvtColor(view, cv2.COLOR_RGB2GRAY)
-    fine = np.abs(grey - cv2.GaussianBlur(grey, (0, 0), DETAIL_SIGMA_PX))
-    return float(fine.mean() / max(float(grey.std()), 1e-6))
+    return without_unphotographed(refine(found, ref, src), valid)
 
 
 def _enlarged(view: FloatImage, hw: tuple[int, ...]) -> FloatImage:

@@ -18,7 +18,7 @@ from telewide.files import changing, fingerprint, is_file, is_folder, temporary_
 from telewide.records import Figure, Line, Name, Record, as_read, checked, read_json, read_record, write_record
 from telewide.text import shortened
 
-FORMAT = 13
+FORMAT = 14
 KEPT_NAME = "depth.json"
 BOKEH_NAME = "bokeh.jpg"
 EXR_BOKEH_NAME = "bokeh.exr"

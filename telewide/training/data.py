@@ -20,8 +20,8 @@ from telewide.capture.pair import Capture, read_pair
 from telewide.errors import MissingPartError, TelewideError, UsageError
 from telewide.geometry.arrays import FloatImage
 from telewide.geometry.stereo import ValidMasks
-from telewide.matching.inference import enlarged_size
 from telewide.matching.networks import StereoNetwork
+from telewide.matching.other_view import enlarged_size
 from telewide.training.objective import Batch
 from telewide.training.retaken import retaken_crop
 from telewide.training.samples import Sample, SampleSource, SeenPhotos, crop_capture, generator_for
@@ -30,7 +30,7 @@ from telewide.training.world_samples import WorldBatches, WorldSource, damaged_c
 
 _REHEARSED, _CAPTURED = 0, 1
 _ENDED_WORKER = "DataLoader worker (pid"
-"""How torch begins the message that a worker process was ended from outside."""
+"""Beginning of torch's message that a worker process was ended from outside."""
 
 Source = SampleSource | WorldSource
 """Where crops come from."""
@@ -247,6 +247,7 @@ def enlargement_of(seen: Sequence[Capture], network: StereoNetwork) -> float:
         seen: the captures.
         network: that will match them.
     """
-    pair = read_pair(seen[0])
-    _, width = enlarged_size(pair.tele, pair.wide, network=network)
-    return float(width / pair.tele.shape[1])
+    if not network.has_confidence:
+        return 1.0
+    wide = read_pair(seen[0]).wide
+    return float(enlarged_size(wide)[1] / wide.shape[1])

@@ -16,7 +16,7 @@ from telewide.capture.images import resize_bicubic
 from telewide.capture.pair import find_captures, read_pair
 from telewide.errors import MissingPartError
 from telewide.geometry.stereo import DisparityMap, ValidMasks
-from telewide.matching import inference
+from telewide.matching import inference, other_view
 from telewide.matching.inference import (
     GRID_PX,
     choose_device,
@@ -28,7 +28,6 @@ from telewide.matching.inference import (
 from telewide.matching.networks import StereoNetwork, build_network, standardise
 from telewide.matching.refinement import refine
 from telewide.matching.volume import correlate_groups, expect_disparity
-from telewide.simulate.degrade import shrink_and_enlarge
 from telewide.simulate.layers import render_pair
 from telewide.simulate.scene import random_scene
 from telewide.training.checkpoint import load_weights, new_state
@@ -370,7 +369,7 @@ def test_small_views_are_matched_as_if_they_were_larger(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(inference, "_match_views", seen)
     for name, most in (("guided", 1280 * 640), ("guided", 7_000), ("guided", 6_000), ("lite", 1280 * 640)):
-        monkeypatch.setattr(inference, "ENLARGED_TO_PIXELS", most)
+        monkeypatch.setattr(other_view, "_ENLARGED_TO_PIXELS", most)
         results.append(match_with_network(ref, src, network=build_network(name, seed=1), window=(0, 32)))
     assert sizes == [((96, 144), (0, 48)), ((68, 102), (0, 36)), ((64, 96), (0, 32)), ((64, 96), (0, 32))]
     assert all(found.disparity_px.shape == (64, 96) for found in results)
@@ -413,23 +412,6 @@ def test_beyond_a_photo_nothing_is_sure_before_a_match_is_refined_nor_after(
     assert not comparable.all()
     np.testing.assert_array_equal(made.valid, comparable)
     assert not made.confidence[~comparable].any()
-
-
-@pytest.mark.parametrize(("factor", "is_enlarged"), [(1, True), (4, True), (12, False)])
-def test_views_are_not_enlarged_where_the_other_one_is_coarse(
-    factor: int, is_enlarged: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pair = render_pair(random_scene(np.random.default_rng(1), hw=(96, 144), disparity_window_px=(6.0, 26.0)))
-    sizes = []
-
-    def seen(ref: NDArray[np.float32], *_: object, **__: object) -> DisparityMap:
-        sizes.append(ref.shape[:2])
-        return DisparityMap(ref[..., 0], ref[..., 1], ref[..., 2] > 0)
-
-    monkeypatch.setattr(inference, "_match_views", seen)
-    src = shrink_and_enlarge(pair.src, factor=factor)
-    match_with_network(pair.ref, src, network=build_network("guided", seed=1), window=(0, 32))
-    assert sizes == [(144, 216) if is_enlarged else (96, 144)]
 
 
 def test_the_odds_of_an_error_below_a_pixel_grow_with_the_pixel() -> None:

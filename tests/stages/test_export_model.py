@@ -57,8 +57,9 @@ def code_of(*words: str) -> int:
 def test_the_exported_maps_are_those_of_a_match(
     name: str, hw: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At the size of the views, before what follows the network: that is left to whoever calls the model."""
-    monkeypatch.setattr(inference, "ENLARGED_TO_PIXELS", 0)
+    """At the size of the views, without what comes before and after the network: that is left to whoever calls it."""
+    monkeypatch.setattr(inference, "enlarged_size", lambda src: src.shape[:2])
+    monkeypatch.setattr(inference, "sharpened", lambda src, *, like: src)
     monkeypatch.setattr(inference, "refine", lambda found, ref, src: found)
     network = network_with_all_branches(name)
     ref, src = example_views(hw, WINDOW)
