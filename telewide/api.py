@@ -27,11 +27,11 @@ from telewide.capture.facts import CaptureFacts
 from telewide.capture.pair import PhotoPair, find_captures, pair_from_photos, read_photos
 from telewide.cores import Device
 from telewide.depth.result import DepthResult
-from telewide.errors import QualityError, UsageError
+from telewide.errors import InputError, QualityError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
-from telewide.matching.window import Window, joined_window, measured_window
+from telewide.matching.window import Window, joined_window, measured_window, within_width
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.align import ShotFacts, align_photos, shot_precision
 from telewide.stages.calibrate import CalibrateOptions, calibrate_shots
@@ -236,10 +236,16 @@ def estimate_depth(
 
 
 def _window(shot: CorrectedShot, recipe: Recipe, matcher: Matcher) -> Window:
+    width_px = shot.corrected.pair.tele.shape[1]
     if recipe.window_px is not None:
-        return recipe.window_px
-    measured = measured_window([shot.report.disparity_range_px])
-    return measured if matcher.window is None else joined_window((measured, matcher.window))
+        return within_width(recipe.window_px, width_px)
+    known = [] if matcher.window is None else [matcher.window]
+    try:
+        known.append(measured_window([shot.report.disparity_range_px]))
+    except InputError:  # too few matches to measure by
+        if not known:
+            raise
+    return within_width(joined_window(known), width_px)
 
 
 def _geometry(shot: CorrectedShot, rig: StoredRig | None, *, matcher: Matcher) -> ShotGeometry | None:

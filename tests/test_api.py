@@ -6,6 +6,7 @@ import doctest
 import os
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,17 @@ from source import modules_loaded_by
 
 import telewide
 from telewide import api
+from telewide.assets import BOX_WEIGHTS
 from telewide.capture.images import read_image
 from telewide.capture.pfm import read_pfm
 from telewide.cli import main
 from telewide.depth.result import DepthResult
-from telewide.errors import TelewideError, UsageError
+from telewide.errors import InputError, TelewideError, UsageError
 from telewide.geometry.stereo import DisparityMap
 from telewide.matching.methods import Method
+from telewide.matching.window import Window
+from telewide.recipe import load_recipe
+from telewide.stages.match import read_matcher
 
 FUNCTIONS = [name for name in telewide.__all__ if not name.startswith("_")]
 SLOW = {"calibrate", "train"}
@@ -97,3 +102,23 @@ def test_a_point_may_be_numbers(repo: Path) -> None:
     pictures = [telewide.render_bokeh(photo, depth, focus=focus, strength_px=4.0) for focus in ((70, 30), "70,30")]
     np.testing.assert_array_equal(*pictures)
     np.testing.assert_allclose(pictures[0][:, 60:], photo[:, 60:], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("trained_for", "stated", "expected"),
+    [((0, 64), None, (0, 64)), ((-64, 900), None, (-64, 384)), (None, (0, 1000), (0, 384)), (None, None, None)],
+)
+def test_photos_that_do_not_tell_what_to_search_leave_it_to_the_weights(
+    trained_for: Window | None, stated: Window | None, expected: Window | None, repo: Path
+) -> None:
+    """Within the width of the pictures, as on the command line."""
+    shot = telewide.rectify(telewide.read_pair(repo / "examples" / "captures" / "000"))
+    assert shot.corrected.pair.tele.shape[1] == 384
+    shot = replace(shot, report=replace(shot.report, n_matches=0))
+    recipe = load_recipe("default", settings=[] if stated is None else [f"window_px={list(stated)}"])
+    matcher = replace(read_matcher(BOX_WEIGHTS, method="sgm", device="cpu"), window=trained_for)
+    if expected is None:
+        with pytest.raises(InputError, match="no pair"):
+            api._window(shot, recipe, matcher)
+    else:
+        assert api._window(shot, recipe, matcher) == expected

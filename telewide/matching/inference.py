@@ -5,12 +5,14 @@ Letters: B batch, C channels, H W image.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import cv2
 import numpy as np
@@ -126,7 +128,7 @@ def match_with_network(
         window: disparities ``[d_min, d_max)``, px.
         valid: where the photos reach, of (H, W); None where they fill the views. The network knows it no better beyond,
             so nothing there counts as measured.
-        max_tile_pixels: larger images are computed in overlapping tiles of about this size.
+        max_tile_pixels: larger images are computed in overlapping tiles of at most this size.
 
     Returns:
         Disparity everywhere (continued into what src does not see), confidence, and where both views agree.
@@ -221,6 +223,9 @@ def _tensor_from_image(image: FloatImage) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))[None]
 
 
+_Spans = list[tuple[tuple[int, int], tuple[int, int]]]
+
+
 @dataclass(frozen=True)
 class _Tile:
     """Where a tile's result goes, and the larger part of the image it is computed from."""
@@ -245,29 +250,39 @@ class _Tile:
 
 
 def _tiles(hw: tuple[int, ...], *, window: Window, network: StereoNetwork, max_pixels: int) -> Iterator[_Tile]:
-    """Cut an image so that every tile, border included, has about ``max_pixels``; one tile if it fits.
+    """Cut an image so that every tile, border included, has at most ``max_pixels``; one tile if it fits.
 
     The border is the network's context on each side, in x beyond where src is looked up and where the left-right check
-    looks back from; its result is thrown away.
+    looks back from; its result is thrown away. Of all such cuts the one that computes the fewest pixels is taken, and
+    where there is none, the one with the smallest tiles.
     """
     context_px, grid = network.context_px, max(GRID_PX, network.cells_px)
     if hw[0] * hw[1] <= max_pixels:
         yield _Tile((0, hw[0]), (0, hw[1]), (0, hw[0]), (0, hw[1]))
         return
     looks_back_px = window[1] - window[0]
-    before_x, after_x = (context_px + looks_back_px + max(reach_px, 0) for reach_px in (window[1], -window[0]))
-    side = max(256, int(max_pixels**0.5))
-    rows = _spans(hw[0], side - 2 * context_px, before=context_px, after=context_px, grid=grid)
-    for y, outer_y in rows:
-        for x, outer_x in _spans(hw[1], side - before_x - after_x, before=before_x, after=after_x, grid=grid):
-            yield _Tile(y, x, outer_y, outer_x)
+    borders_x = [context_px + looks_back_px + max(reach_px, 0) for reach_px in (window[1], -window[0])]
+
+    def cost(cut: tuple[_Spans, _Spans]) -> tuple[int, int]:
+        lengths = [[end - start for _, (start, end) in spans] for spans in cut]
+        largest, computed = (math.prod(of(side) for side in lengths) for of in (max, sum))
+        return max(0, largest - max_pixels), computed
+
+    cuts_y = _cuts(hw[0], before=context_px, after=context_px, grid=grid)
+    rows, columns = min(product(cuts_y, _cuts(hw[1], before=borders_x[0], after=borders_x[1], grid=grid)), key=cost)
+    for (y, outer_y), (x, outer_x) in product(rows, columns):
+        yield _Tile(y, x, outer_y, outer_x)
 
 
-def _spans(
-    length: int, step: int, *, before: int, after: int, grid: int
-) -> list[tuple[tuple[int, int], tuple[int, int]]]:
+def _cuts(length: int, *, before: int, after: int, grid: int) -> list[_Spans]:
+    """All cuts of one side into spans of equal length, a multiple of the grid, but for the last."""
+    least = max(2 * GRID_PX, grid)
+    steps = range(least, max(least, length) + grid, grid)
+    return [_spans(length, step, before=before, after=after, grid=grid) for step in steps]
+
+
+def _spans(length: int, step: int, *, before: int, after: int, grid: int) -> _Spans:
     """(inner, outer) spans along one side; outer ends lie on the grid, so that a tile is padded as the image is."""
-    step = max(2 * GRID_PX, step // grid * grid, grid)
     spans = []
     for start in range(0, length, step):
         end = min(start + step, length)

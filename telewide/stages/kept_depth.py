@@ -407,7 +407,11 @@ def _put_in_place(staged: Path, folder: Path) -> None:
     if {path.name for path in folder.iterdir()} <= listed:
         former = folder.with_name(temporary_name(".former"))
         folder.rename(former)
-        staged.rename(folder)
+        try:
+            staged.rename(folder)
+        except BaseException:
+            former.rename(folder)
+            raise
         shutil.rmtree(former, ignore_errors=True)
         return
     new = sorted(path.name for path in staged.iterdir() if path.name != KEPT_NAME)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from telewide.geometry.arrays import FloatMap
 from telewide.matching.matcher import Match
 from telewide.matching.semiglobal import match_semiglobal
 from telewide.matching.window import Window
+from telewide.stages.kept_depth import FORMAT
 from telewide.stages.match import read_matcher
 from telewide.stages.pairs import PreparedSet
 from telewide.training.options import TrainOptions
@@ -26,9 +28,12 @@ from telewide.training.samples import disparity_path
 def surveyor_of(options: TrainOptions) -> str:
     """The matcher that surveys the captures before a training, as in `disparity_path`.
 
-    It is the network that the training starts from, and semi-global matching where it starts from nothing.
+    It is the network that the training starts from, as depth is made of it today, and semi-global matching where the
+    training starts from nothing.
     """
-    return fingerprint(BOX_WEIGHTS)[:8] if options.start == "box" else ""
+    if options.start != "box":
+        return ""
+    return hashlib.sha256(f"{fingerprint(BOX_WEIGHTS)} {FORMAT}".encode()).hexdigest()[:8]
 
 
 def surveying_match(surveyor: str, *, device: Device) -> Match:

@@ -293,6 +293,30 @@ def test_the_left_right_check_of_a_tile_is_that_of_the_image(window: tuple[int, 
     np.testing.assert_allclose(tiled.confidence, whole.confidence, atol=0.02)
 
 
+@pytest.mark.parametrize(
+    ("hw", "most_computed"), [((2048, 1536), 1.35), ((1536, 2048), 1.45), ((60, 50_000), 1.4), ((4000, 6000), 3.1)]
+)
+def test_an_image_is_cut_where_that_costs_least(hw: tuple[int, int], most_computed: float) -> None:
+    """Into strips rather than squares, whose borders together are more; every pixel once."""
+    most_pixels, times = 2_500_000, np.zeros(hw, np.uint8)
+    network, computed = build_network("guided", seed=0), 0
+    for tile in inference._tiles(hw, window=(0, 64), network=network, max_pixels=most_pixels):
+        times[tile.inner] += 1
+        size = np.empty((1, 1, *hw), np.bool_)[tile.outer_slices].size
+        assert size <= most_pixels
+        computed += size
+    assert (times == 1).all()
+    assert computed <= most_computed * times.size
+
+
+def test_an_image_that_no_cut_makes_small_enough_is_cut_as_finely_as_can_be() -> None:
+    """128 px and, on each side, the network's 320; along the rows where it looks and looks back, 64 px each."""
+    network = build_network("guided", seed=0)
+    tiles = inference._tiles((2048, 2048), window=(0, 64), network=network, max_pixels=1000)
+    sizes = [np.empty((1, 1, 2048, 2048), np.bool_)[tile.outer_slices].shape[2:] for tile in tiles]
+    assert max(sizes) == (128 + 2 * 320, 128 + 2 * 320 + 3 * 64)
+
+
 class _Cells(_Blur):
     """Features less their means over cells of 256 px, as `psmnet` pools them."""
 

@@ -104,3 +104,14 @@ def test_a_page_tells_what_is_said_of_the_bokeh_that_lies_there_and_of_no_previe
     assert record.shown_notes == (*said, *lying.notes)
     preview = record.model_copy(update={"key": {"bokeh": {"is_preview": True}}})
     assert preview.shown_notes == (said[0], *lying.notes)
+
+
+def test_results_that_cannot_be_replaced_stay(folder: Path) -> None:
+    capture = folder / "000"
+    capture.mkdir()
+    (capture / "disparity.pfm").write_bytes(b"0123456789")
+    write_kept(capture, KeptDepth(("disparity.pfm",), (), {}), key=KEY)
+    with pytest.raises((OSError, UsageError)):
+        put_in_place(folder / "not there", capture)
+    assert read_kept(capture, KEY) is not None
+    assert not list(folder.glob(".telewide-*"))
