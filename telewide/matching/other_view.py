@@ -66,15 +66,15 @@ def _amount(src: FloatMap, like: FloatMap) -> float:
     lost = src - cv2.GaussianBlur(src, (0, 0), _SHARPENING_SIGMA_PX)
     fine_lost = lost - cv2.GaussianBlur(lost, (0, 0), _FINE_SIGMA_PX)
 
-    def reached(amount: float) -> bool:
+    def is_reached(amount: float) -> bool:
         return float(np.abs(fine + np.float32(amount) * fine_lost).mean()) >= wanted
 
     low, high = 0.0, _MOST_SHARPENED
-    if reached(low):
+    if is_reached(low):
         return low
     for _ in range(_TRIALS):
         middle = (low + high) / 2
-        low, high = (low, middle) if reached(middle) else (middle, high)
+        low, high = (low, middle) if is_reached(middle) else (middle, high)
     return high
 
 

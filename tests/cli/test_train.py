@@ -94,3 +94,15 @@ def test_minutes_that_are_none_are_refused(
     assert left.value.code == 2
     assert f"{minutes} minutes; a number above 0 was expected" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_worlds_alone_are_not_what_a_run_of_captures_trains_on(
+    repo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would go on for hours, and look at none of them."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main(("run", str(repo / "examples" / "captures"), "--recipe", "box"))
+    assert left.value.code == 2
+    assert "telewide train --recipe box" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
