@@ -24,7 +24,7 @@ print(f"tele {photos.tele.shape}, wide {photos.wide.shape}, {photos.tele.dtype}"
 shot = telewide.rectify(photos, rig=rig)
 print(f"{shot.report.n_matches} points match; verdict: {shot.report.verdict}")
 
-# %% Depth on the tele photo, by semi-global matching; with weights=... a trained network joins in.
+# %% Depth on the tele photo, by the network that comes with telewide; weights=... names one of your own.
 depth = telewide.estimate_depth(photos, rig=rig)
 assert depth.depth_m is not None, "the rig knows its scale"
 print(f"median depth {np.nanmedian(depth.depth_m):.2f} m, {depth.disparity.valid.mean():.0%} measured")

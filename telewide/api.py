@@ -6,8 +6,8 @@
     picture = telewide.render_bokeh(photos.tele, depth)
 
 Photos are (H, W, 3) float32 RGB in [0, 1], maps are (H, W) on the tele photo as it was taken; what is unknown is NaN.
-The command line and the stages of a run go through the same functions; a run keeps corrected pairs as pictures, whose
-rounding is the only difference. Examples start in a checkout of telewide.
+The stages of a run go through the same functions for all captures of a folder: they keep corrected pairs as pictures,
+and search one window in all. Examples start in a checkout of telewide.
 """
 
 from __future__ import annotations
