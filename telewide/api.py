@@ -27,16 +27,17 @@ from telewide.capture.facts import CaptureFacts
 from telewide.capture.pair import PhotoPair, find_captures, pair_from_photos, read_photos
 from telewide.cores import Device
 from telewide.depth.result import DepthResult
-from telewide.errors import InputError, QualityError, UsageError
+from telewide.errors import QualityError, UsageError
 from telewide.geometry.arrays import FloatMap
 from telewide.matching.matcher import Matcher
 from telewide.matching.methods import Method
-from telewide.matching.window import Window, joined_window, measured_window, within_width
+from telewide.matching.window import Window, within_width
 from telewide.recipe import DEFAULT_RECIPE, Recipe, load_recipe
 from telewide.stages.align import ShotFacts, align_photos, shot_precision
 from telewide.stages.calibrate import CalibrateOptions, calibrate_shots
 from telewide.stages.match import read_matcher
 from telewide.stages.observer import Observer, Silent
+from telewide.stages.pairs import window_to_search
 from telewide.stages.photo_depth import ShotGeometry, depth_on_photo
 from telewide.stages.prepare import CorrectedShot, at_working_size, correct_shot
 
@@ -236,16 +237,8 @@ def estimate_depth(
 
 
 def _window(shot: CorrectedShot, recipe: Recipe, matcher: Matcher) -> Window:
-    width_px = shot.corrected.pair.tele.shape[1]
-    if recipe.window_px is not None:
-        return within_width(recipe.window_px, width_px)
-    known = [] if matcher.window is None else [matcher.window]
-    try:
-        known.append(measured_window([shot.report.disparity_range_px]))
-    except InputError:  # too few matches to measure by
-        if not known:
-            raise
-    return within_width(joined_window(known), width_px)
+    window = window_to_search([shot.report.disparity_range_px], stated=recipe.window_px, former=matcher.window)
+    return within_width(window, shot.corrected.pair.tele.shape[1])
 
 
 def _geometry(shot: CorrectedShot, rig: StoredRig | None, *, matcher: Matcher) -> ShotGeometry | None:

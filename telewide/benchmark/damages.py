@@ -97,8 +97,9 @@ def find_damage(name: str, damages: Damages) -> Damage:
     Raises:
         UsageError: there is no such damage; the nearest name is told.
     """
-    if name.upper() in damages.damages:
-        return damages.damages[name.upper()]
+    for known, damage in damages.damages.items():
+        if known.casefold() == name.casefold():
+            return damage
     raise unknown_name("damage", name, damages.damages)
 
 

@@ -18,7 +18,7 @@ that small pictures show."""
 _FINE_SIGMA_PX, _COARSE_SIGMA_PX = 1.0, 4.0
 _LEAST_FINE_SHARE = 0.096
 """Of the coarse detail of src, that must be fine: where less is, larger views show no more. All views 4 times as coarse
-have more, blurred by a lens besides or not, and none 8 times as coarse (``docs/decisions.md``)."""
+have more, nearly all that a lens blurred besides, and none 8 times as coarse (``docs/decisions.md``)."""
 _SHARPENED_TO = 0.35
 """Of ref's detail, that src gets. Wide photos of phones have as much or nearly so; more would sharpen their noise."""
 _SHARPENING_SIGMA_PX, _MOST_SHARPENED = 2.0, 2.0
@@ -33,8 +33,7 @@ def enlarged_size(src: FloatImage) -> tuple[int, int]:
     """
     height, width = src.shape[:2]
     scale = min(_MOST_ENLARGED, math.sqrt(_ENLARGED_TO_PIXELS / (height * width)))
-    grey = _grey(src)
-    if scale <= 1 or _detail(grey, _FINE_SIGMA_PX) < _LEAST_FINE_SHARE * _detail(grey, _COARSE_SIGMA_PX):
+    if scale <= 1 or not _has_fine_detail(_grey(src)):
         return height, width
     return round(scale * height), round(scale * width)
 
@@ -57,6 +56,10 @@ def sharpened(src: FloatImage, *, like: FloatImage) -> FloatImage:
         return src
     lost = src - cv2.GaussianBlur(src, (0, 0), _SHARPENING_SIGMA_PX)
     return np.asarray(np.clip(src + np.float32(amount) * lost, 0, 1), dtype=np.float32)
+
+
+def _has_fine_detail(src: FloatMap) -> bool:
+    return _detail(src, _FINE_SIGMA_PX) >= _LEAST_FINE_SHARE * _detail(src, _COARSE_SIGMA_PX)
 
 
 def _amount(src: FloatMap, like: FloatMap) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -73,14 +74,7 @@ class PreparedSet:
         Raises:
             InputError: nothing states them, and there are too few matches to measure them.
         """
-        try:
-            ranges_px = [pair.report.disparity_range_px for pair in self.pairs]
-            return self.stated_window or _believable(measured_window(ranges_px))
-        except InputError as error:
-            hint = error.hint or self._where_to_look()
-            if self.rig is None and not self.facts.rectified:
-                hint += f"; photos as they were taken need a rig, {how_to_calibrate(self.root)}"
-            raise InputError(error.message, hint=hint) from error
+        return self.window_with(None)
 
     def _where_to_look(self) -> str:
         record = self.pairs[0].capture.tele_path.parent / RECORD_NAME
@@ -100,12 +94,14 @@ class PreparedSet:
         Raises:
             InputError: nothing states, measures or remembers a window.
         """
-        if former is None or self.stated_window is not None:
-            return self.window
         try:
-            return _believable(joined_window((former, self.window)))
-        except InputError:  # too few matches to measure by
-            return former
+            ranges_px = [pair.report.disparity_range_px for pair in self.pairs]
+            return window_to_search(ranges_px, stated=self.stated_window, former=former)
+        except InputError as error:
+            hint = error.hint or self._where_to_look()
+            if self.rig is None and not self.facts.rectified:
+                hint += f"; photos as they were taken need a rig, {how_to_calibrate(self.root)}"
+            raise InputError(error.message, hint=hint) from error
 
     @property
     def damage_factor(self) -> tuple[float, float] | None:
@@ -119,6 +115,30 @@ class PreparedSet:
         stated = [pair.alignment.asymmetry.factor for pair in self.pairs if pair.alignment is not None]
         known = [factor for factor in stated if factor is not None]
         return (min(known), max(known)) if known else None
+
+
+def window_to_search(
+    ranges_px: Sequence[tuple[float, float] | None], *, stated: Window | None, former: Window | None
+) -> Window:
+    """Disparities to search: stated, or what the matches need together with what has been searched before.
+
+    Args:
+        ranges_px: least and largest disparity of each pair, px; None where its matches do not tell.
+        stated: by whoever asks; None where nobody does.
+        former: what a network was trained for or has searched; taken alone where matches do not tell.
+
+    Raises:
+        InputError: nothing states, measures or remembers a window.
+    """
+    if stated is not None:
+        return stated
+    try:
+        measured = measured_window(ranges_px)
+        return _believable(measured if former is None else joined_window((former, measured)))
+    except InputError:
+        if former is None:
+            raise
+        return former
 
 
 def _believable(window: Window) -> Window:

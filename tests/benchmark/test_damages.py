@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from telewide.benchmark.damages import Damage, damaged_view, drawn_degradation, find_damage, load_damages
+from telewide.benchmark.damages import Damage, Damages, damaged_view, drawn_degradation, find_damage, load_damages
 from telewide.capture.images import resize_bicubic
 from telewide.errors import InputError, UsageError
 from telewide.srgb import linear_from_srgb
@@ -61,6 +61,12 @@ def test_jpeg_comes_at_the_small_size(view: np.ndarray) -> None:
 def test_published_damages_draw_nothing(view: np.ndarray) -> None:
     for name in PUBLISHED:
         np.testing.assert_array_equal(damaged(view, name, seed=0), damaged(view, name, seed=1))
+
+
+@pytest.mark.parametrize("name", ["haze", "Haze", "HAZE"])
+def test_a_damage_is_found_in_any_letter_case(name: str) -> None:
+    damage = Damage(gamma=(1.1, 1.2))
+    assert find_damage(name, Damages(format=1, damages={"Haze": damage})) is damage
 
 
 def test_open_damages_are_drawn_between_their_ends(rng: np.random.Generator) -> None:
